@@ -122,10 +122,17 @@ struct Case<'a> {
 }
 
 impl Case<'_> {
-    /// Whether triggers may have been fired before a frame's arrival of which there is no report.
-    fn frame_is_ahead(&self, arrived: Option<i128>, period_ns: u64) -> bool {
-        let latest = (0..self.table.end()).rev().take(64).find_map(|number| self.table.reported_ns(number));
-        arrived.zip(latest).is_none_or(|(ns, latest)| ns > i128::from(latest) + i128::from(period_ns * 5 / 4))
+    /// Whether a frame's report may be held up: by its id it is of a trigger behind the last that was reported, and that may
+    /// have been fired when it arrived.
+    fn awaits_report(&self, arrived: Option<i128>, period_ns: u64) -> bool {
+        let reported = |number| Some((number, self.table.reported_ns(number)?));
+        let Some((last, last_ns)) = (0..self.table.end()).rev().take(64).find_map(reported) else {
+            return true;
+        };
+        let steps = i128::from(self.by_id.saturating_sub(last));
+        let period_ns = i128::from(period_ns);
+        let due = i128::from(last_ns) + steps.saturating_mul(period_ns * 7 / 8) - period_ns / 8;
+        steps > 0 && arrived.is_none_or(|ns| ns >= due)
     }
 }
 
@@ -262,8 +269,7 @@ impl Matcher {
         }
         let before = (self.given_up, self.unsettled);
         let answer = if frame.complete { self.whole(&case) } else { self.torn(&case) };
-        let unreported = !case.table.is_reported(by_id)
-            && case.frame_is_ahead(self.arrived_ns(frame.host_ns, hsu), period_ns);
+        let unreported = case.awaits_report(self.arrived_ns(frame.host_ns, hsu), period_ns);
         if answer == Match::Undecided && unreported {
             // For want of reports: that says nothing against ids and clock.
             (self.given_up, self.unsettled) = before;
