@@ -68,7 +68,9 @@ pub(super) struct Arrivals {
 impl Matcher {
     /// How a frame's arrival fits a trigger.
     pub(super) fn timing(&self, case: &Case<'_>, frame: &Sighting, number: i64) -> Timing {
-        let Some(due) = case.table.time_ns(number) else { return Timing::Unknown };
+        // Between reports a time that is only calculated may be too late as well as too early.
+        let calculated = !case.table.is_expected(number) && !case.table.is_known(number);
+        let Some(due) = case.table.time_ns(number).filter(|_| !calculated) else { return Timing::Unknown };
         if self.precedes(frame, due, case.hsu) {
             return Timing::Early;
         }

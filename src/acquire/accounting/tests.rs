@@ -303,7 +303,11 @@ fn one_camera_gives_up_what_it_cannot_tell() {
 #[test]
 fn two_cameras_stand_in_for_reports_that_are_still_missing_when_the_link_is_back() {
     let mut desk = Desk::new(2);
-    let late = |trigger: u64| if trigger >= 45 { PERIOD_NS * 3 / 4 } else { 0 };
+    let late = |trigger: u64| match trigger {
+        0..45 => 0,
+        45..58 => PERIOD_NS * 3 / 4,
+        _ => PERIOD_NS * 6,
+    };
     for trigger in 0..100 {
         let at = due(trigger) + late(trigger);
         if !(40..60).contains(&trigger) {
