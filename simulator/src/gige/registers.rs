@@ -39,6 +39,8 @@ const PENDING_ACKS: u32 = 1 << 5;
 const ACTIONS: u32 = 1 << 19 | 1 << 17 | 1 << 6;
 /// States of PTP, as IEEE 1588 numbers them.
 pub const PTP_STATES: [(&str, u32); 3] = [("Disabled", 3), ("Listening", 4), ("Slave", 9)];
+/// What no enumeration has an entry for.
+const NO_ENTRY: u32 = 77;
 /// GVSP capability: stream source port register, 16-bit block ids.
 const GVSP_CAPABILITY: u32 = 1 << 31 | 1 << 30;
 /// GVSP configuration: 64-bit block ids are on.
@@ -115,6 +117,10 @@ pub struct Registers {
     /// Device key, group key and group mask of the actions that it takes; mask 0: none.
     pub action_keys: [u32; 3],
     ptp: bool,
+    /// No entry of `AcquisitionMode` was set yet, and it stands at none.
+    no_entry: bool,
+    /// Some registers hold what the description has no word for.
+    pub nonsense: bool,
 }
 
 impl Registers {
@@ -123,7 +129,9 @@ impl Registers {
         let mut settings = Settings::new(sensor.0, sensor.1);
         settings.pixel_format = habits.power_on.format;
         Self {
-            xml: genicam::xml(&identity.model, habits.clock),
+            xml: genicam::xml(&identity.model, &habits),
+            no_entry: habits.no_entry,
+            nonsense: false,
             habits,
             firmware: None,
             network: Network::new(identity.address),
@@ -417,7 +425,10 @@ impl Registers {
                 accept((1..=self.sensor.1).contains(&value))?;
                 settings.height = value;
             }
-            Id::AcquisitionMode => settings.mode = AcquisitionMode::from_code(value).ok_or(coded)?,
+            Id::AcquisitionMode => {
+                settings.mode = AcquisitionMode::from_code(value).ok_or(coded)?;
+                self.no_entry = false;
+            }
             Id::FrameCount => {
                 accept((1..=0xffff).contains(&value))?;
                 settings.frame_count = value;
@@ -472,13 +483,20 @@ impl Registers {
             4 => Some(self.integer(register.id).to_be_bytes()),
             8 => self.float(register.id).to_be_bytes().get(offset..offset + 4)?.try_into().ok(),
             _ => {
-                let text = self.text(register.id);
+                let mut text = self.text(register.id).into_bytes();
+                if self.habits.foreign_names
+                    && matches!(register.id, Id::Model | Id::UserName | Id::DeviceVersion)
+                {
+                    // A letter of Latin-1.
+                    text.truncate(usize::from(register.length) - 2);
+                    text.push(0xfc);
+                }
                 let mut word = [0; 4];
                 for (i, byte) in word.iter_mut().enumerate() {
                     // The last byte stays a terminator.
                     let at = offset + i;
                     if at + 1 < usize::from(register.length) {
-                        *byte = text.as_bytes().get(at).copied().unwrap_or(0);
+                        *byte = text.get(at).copied().unwrap_or(0);
                     }
                 }
                 Some(word)
@@ -539,6 +557,9 @@ impl Registers {
             Id::ActionGroupKey => self.action_keys[1],
             Id::ActionGroupMask => self.action_keys[2],
             Id::PtpEnable => u32::from(self.ptp),
+            Id::PtpStatus if self.nonsense => NO_ENTRY,
+            Id::Width if self.nonsense => 0,
+            Id::AcquisitionMode if self.no_entry => NO_ENTRY,
             Id::PtpStatus => match (self.ptp, self.habits.ptp_listens) {
                 (false, _) => PTP_STATES[0].1,
                 (true, true) => PTP_STATES[1].1,
