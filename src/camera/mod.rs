@@ -14,6 +14,7 @@ pub mod description;
 mod device_clock;
 #[cfg(feature = "aravis")]
 mod features;
+#[cfg(feature = "aravis")]
 mod packet_test;
 pub mod profile;
 mod quiet;
@@ -31,7 +32,6 @@ mod write_amount;
 #[cfg(feature = "aravis")]
 pub use self::aravis::AravisCameras;
 pub use contract::{Breach, FrameContract, FrameForm, MONO8, Payload};
-pub use packet_test::PacketTest;
 pub use profile::Wishes;
 pub use quiet::quiet_stream;
 pub use settings::{AppliedSetting, SetUp, matches};
@@ -145,6 +145,15 @@ pub enum CameraError {
     /// This host has no memory for its frames.
     #[error("{0}")]
     Memory(String),
+}
+
+/// What test packets have shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PacketTest {
+    /// The largest packet that arrived, IP and UDP headers counted in.
+    pub arrived: u32,
+    /// The largest that the camera sends, where that is less than what was asked.
+    pub camera_takes: Option<u32>,
 }
 
 /// How a stream is to be set up.

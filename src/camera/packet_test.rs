@@ -5,7 +5,7 @@
 //! the camera's register says: a camera that takes more than it says ends the process (0.8.26). So the search is here, and
 //! what is received goes into memory that holds any datagram.
 
-use super::CameraError;
+use super::{CameraError, PacketTest};
 use std::time::Duration;
 
 /// The first packets may take so long: some cameras send them from a slow loop.
@@ -22,15 +22,6 @@ const STEPS: usize = 24;
 pub const LARGEST: u32 = 65_535;
 /// Packets may be so much shorter than asked: some round down (aravis#687).
 pub const ROUNDED: u32 = 16;
-
-/// What test packets have shown.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PacketTest {
-    /// The largest packet that arrived, IP and UDP headers counted in.
-    pub arrived: u32,
-    /// The largest that the camera sends, where that is less than what was asked.
-    pub camera_takes: Option<u32>,
-}
 
 /// The sizes that a camera takes, by its own description.
 #[derive(Debug, Clone, Copy)]
@@ -180,7 +171,7 @@ mod tests {
         // Each comes when the next is asked for already.
         let mut on_its_way = None;
         let found = largest(9000, ANY, |size, _| {
-            let arrived = std::mem::replace(&mut on_its_way, Some(size));
+            let arrived = on_its_way.replace(size);
             Ok(Tried { size: Some(size), arrived, took: Duration::from_millis(100) })
         });
         assert_eq!(found.expect("it answers").map(|found| found.arrived), Some(9000));

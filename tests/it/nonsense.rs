@@ -132,3 +132,15 @@ fn slow_test_packets_are_no_matter_of_the_network() {
     let test = camera.test_packet_size(9000).expect("it answers");
     assert_eq!(test, Some(PacketTest { arrived: 9000, camera_takes: None }));
 }
+
+/// Names without a feature, and features that point to nothing: none is read, and the others are.
+#[test]
+fn a_description_may_name_what_is_not_there() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = with_first(dir.path(), 62, Habits { broken_description: true, ..Habits::default() });
+    let (mut camera, wishes) = first_camera(&laboratory);
+    let state = camera.state().expect("read");
+    assert!(state.len() > 40 && !state.contains_key("NotThere"), "{state:?}");
+    camera.set_up(&wishes).expect("what it needs is there");
+    println!("{:?}", state.iter().filter(|(name, _)| name.starts_with("Broken")).collect::<Vec<_>>());
+}

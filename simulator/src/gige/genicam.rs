@@ -23,6 +23,9 @@ pub fn xml(model: &str, habits: &Habits) -> Vec<u8> {
         told => told,
     };
     xml.transport_layer_control(habits.clock, packet_max);
+    if habits.broken_description {
+        xml.broken();
+    }
     let mut document = xml.document(model).into_bytes();
     while !document.len().is_multiple_of(4) {
         document.push(b'\n');
@@ -304,6 +307,39 @@ impl Description {
         self.bits("GevSCSPReg", Id::SourcePort, Mode::Ro, (16, 31));
     }
 
+    /// Features that the description names and does not have, and some that point to what is not there.
+    fn broken(&mut self) {
+        self.feature("NotThere");
+        let gone = "<pValue>NoSuchNode</pValue>";
+        for (name, node) in [
+            (
+                "BrokenInteger",
+                format!("<Integer Name=\"BrokenInteger\">{gone}<pMax>NoSuchNode</pMax></Integer>"),
+            ),
+            ("BrokenFloat", format!("<Float Name=\"BrokenFloat\">{gone}<pMin>NoSuchNode</pMin></Float>")),
+            ("BrokenBoolean", format!("<Boolean Name=\"BrokenBoolean\">{gone}</Boolean>")),
+            (
+                "BrokenCommand",
+                format!("<Command Name=\"BrokenCommand\">{gone}<CommandValue>1</CommandValue></Command>"),
+            ),
+            ("BrokenEntries", format!("<Enumeration Name=\"BrokenEntries\">{gone}</Enumeration>")),
+            (
+                "BrokenEntry",
+                "<Enumeration Name=\"BrokenEntry\"><EnumEntry Name=\"One\"></EnumEntry></Enumeration>"
+                    .to_owned(),
+            ),
+            (
+                "BrokenSwissKnife",
+                "<IntSwissKnife Name=\"BrokenSwissKnife\"><pVariable Name=\"A\">NoSuchNode</pVariable>\
+                 <Formula>A / 0</Formula></IntSwissKnife>"
+                    .to_owned(),
+            ),
+        ] {
+            self.feature(name);
+            self.node(&node);
+        }
+    }
+
     fn timestamp(&mut self) {
         self.feature("GevTimestampControlLatch");
         self.feature("GevTimestampControlReset");
@@ -358,7 +394,8 @@ mod tests {
     #[test]
     fn every_reference_has_its_node() {
         for clock in [ClockHabit::Ticks, ClockHabit::Bootstrap, ClockHabit::Nanoseconds] {
-            references_have_nodes(&xml("Sim 23", clock));
+            let habits = Habits { clock, ..Habits::default() };
+            references_have_nodes(&xml("Sim 23", &habits));
         }
     }
 

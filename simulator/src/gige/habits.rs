@@ -44,6 +44,8 @@ pub struct Habits {
     pub foreign_names: bool,
     /// After power-on its `AcquisitionMode` holds a value of none of its entries, until one is set.
     pub no_entry: bool,
+    /// Its description names features that it does not have, and nodes that are not there.
+    pub broken_description: bool,
     /// Another client has control for so many ms after power-on.
     pub held_ms: u64,
     /// It has a link-local address until somebody gives it another; for cameras of other makes.
@@ -187,6 +189,7 @@ impl Habits {
                 packet_max_told: table.packet_max_told,
                 foreign_names: table.foreign_names,
                 no_entry: table.no_entry,
+                broken_description: table.broken_description,
                 held_ms: table.held_ms,
                 link_local: table.link_local,
                 tick_ns: table.tick_ns,
@@ -244,6 +247,8 @@ struct Table {
     foreign_names: bool,
     #[serde(default)]
     no_entry: bool,
+    #[serde(default)]
+    broken_description: bool,
     #[serde(default)]
     held_ms: u64,
     #[serde(default)]

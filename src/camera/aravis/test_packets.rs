@@ -3,9 +3,9 @@
 
 use super::device_features::is_silence;
 use super::{AravisCamera, checked, link_error};
-use crate::camera::CameraError;
 use crate::camera::features::{Failed, Features as _};
-use crate::camera::packet_test::{self, LARGEST, PATIENCE, PacketTest, Sizes, Tried};
+use crate::camera::packet_test::{self, LARGEST, PATIENCE, Sizes, Tried};
+use crate::camera::{CameraError, PacketTest};
 use aravis::prelude::*;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, UdpSocket};
