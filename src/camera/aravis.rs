@@ -13,12 +13,12 @@
 use super::canary::Canaries;
 use super::contract::{Breach, FrameContract, FrameForm, Payload};
 use super::device_clock::{self, DeviceClock};
-use super::features::{Failed, read_state};
+use super::features::{Failed, Features as _, read_state};
 use super::profile::trigger_lines;
 use super::set_up::{changed, set_up};
 use super::{
     Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, Change,
-    FrameStream, Received, SetUp, State, StreamOptions, Transfer, Wishes,
+    FrameStream, PacketTest, Received, SetUp, State, StreamOptions, Transfer, Wishes,
 };
 use crate::base::ids::{BlockId, one_line};
 use crate::config::SocketMode;
@@ -28,14 +28,22 @@ use aravis::prelude::*;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use glib::prelude::{Cast, ObjectExt};
 use glib::translate::{ToGlibPtr, from_glib_full};
-use std::ffi::{CStr, c_void};
+use std::ffi::c_void;
 use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+mod checked;
 mod device_features;
 mod filter;
+mod test_packets;
+
+/// No sensor has more columns or rows.
+const SIDE_MAX: usize = 1 << 20;
+/// No stream has smaller packets: the headers take up to 48 bytes.
+const PACKET_LEAST: u32 = 128;
+const READING_PACKET_SIZE: &str = "reading the packet size";
 
 /// The cameras that Aravis can reach.
 #[derive(Debug, Default)]
@@ -48,10 +56,9 @@ impl CameraBackend for AravisCameras {
             aravis_sys::arv_update_device_list();
             aravis_sys::arv_get_n_devices()
         };
-        let text = |pointer: *const std::ffi::c_char| match pointer.is_null() {
-            true => String::new(),
-            // SAFETY: not null, hence a NUL-terminated string that lives until the next list update; copied at once.
-            false => one_line(unsafe { CStr::from_ptr(pointer) }.to_string_lossy()),
+        let text = |pointer: *const std::ffi::c_char| {
+            // SAFETY: null, or a text that lives until the next list update; copied at once.
+            one_line(unsafe { checked::text(pointer) }.unwrap_or_default())
         };
         let describe = |i| {
             // SAFETY: i is below the count just asked for.
@@ -72,7 +79,7 @@ impl CameraBackend for AravisCameras {
     fn open(&mut self, address: &str) -> Result<Box<dyn Camera>, CameraError> {
         let not_found =
             |e: glib::Error| CameraError::NotFound { address: address.to_owned(), detail: said(&e) };
-        let camera = aravis::Camera::new(Some(address)).map_err(not_found)?;
+        let camera = checked::open(address).map_err(not_found)?;
         let device = camera
             .device()
             .ok_or(CameraError::Link { doing: "opening it", detail: "Aravis gave no device".to_owned() })?;
@@ -84,12 +91,8 @@ impl CameraBackend for AravisCameras {
         let lost = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&lost);
         device.connect_control_lost(move |_| flag.store(true, Ordering::Release));
-        let text = |r: Result<glib::GString, glib::Error>| r.map(one_line).unwrap_or_default();
-        let identity = CameraIdentity {
-            vendor: text(camera.vendor_name()),
-            model: text(camera.model_name()),
-            serial: text(camera.device_serial_number()),
-        };
+        let [vendor, model, serial] = checked::identity(&camera).map(one_line);
+        let identity = CameraIdentity { vendor, model, serial };
         Ok(Box::new(AravisCamera { camera, device, identity, lost, clock: None }))
     }
 }
@@ -98,7 +101,7 @@ impl CameraBackend for AravisCameras {
 fn holder(device: &aravis::Device) -> Option<String> {
     const PORT: u64 = 0x0a04;
     const ADDRESS: u64 = 0x0a14;
-    let read = |register| device.read_register(register).ok().map(|(_, value)| value);
+    let read = |register| checked::register(device, register).ok();
     let address = read(ADDRESS).filter(|&bits| bits != 0)?;
     Some(format!("{}:{}", Ipv4Addr::from_bits(address), read(PORT)? & 0xffff))
 }
@@ -151,10 +154,24 @@ impl AravisCamera {
         }
     }
 
+    /// Whether a packet of the size that the camera has made of the one asked for holds more than its headers: Aravis divides
+    /// a frame by what is left, and ends the process where that is nothing.
+    fn packets_have_room(&self) -> Result<(), CameraError> {
+        let Some(gv) = self.device.downcast_ref::<aravis::GvDevice>() else { return Ok(()) };
+        let bytes = gv.packet_size().map_err(link_error(READING_PACKET_SIZE))?;
+        match bytes >= PACKET_LEAST {
+            true => Ok(()),
+            false => Err(CameraError::Nonsense {
+                doing: READING_PACKET_SIZE,
+                detail: format!("packets of {bytes} bytes, headers counted in"),
+            }),
+        }
+    }
+
     /// What a GigE camera says of its control privilege: 0 when nobody has it.
     fn privilege(&self) -> Option<u32> {
         const PRIVILEGE: u64 = 0x0a00;
-        Some(self.device.downcast_ref::<aravis::GvDevice>()?.read_register(PRIVILEGE).ok()?.1)
+        checked::register(self.device.downcast_ref::<aravis::GvDevice>()?, PRIVILEGE).ok()
     }
 }
 
@@ -191,8 +208,20 @@ impl Camera for AravisCamera {
     }
 
     fn image_size(&mut self) -> Result<(usize, usize), CameraError> {
-        let (_, _, width, height) = self.camera.region().map_err(link_error("reading the image size"))?;
-        Ok((usize::try_from(width).unwrap_or(0), usize::try_from(height).unwrap_or(0)))
+        const DOING: &str = "reading the image size";
+        let read = |feature| match self.integer(feature) {
+            Ok(value) => Ok(value),
+            Err(Failed::Lost(error)) => Err(error),
+            Err(Failed::Refused(detail) | Failed::Nonsense(detail)) => {
+                Err(CameraError::Link { doing: DOING, detail })
+            }
+        };
+        let (width, height) = (read("Width")?, read("Height")?);
+        let side = |pixels: i64| usize::try_from(pixels).ok().filter(|side| (1..=SIDE_MAX).contains(side));
+        side(width).zip(side(height)).ok_or_else(|| CameraError::Nonsense {
+            doing: DOING,
+            detail: format!("an image of {width} x {height} pixels"),
+        })
     }
 
     fn sample_clock(&mut self) -> Result<Option<CameraClockSample>, CameraError> {
@@ -204,6 +233,7 @@ impl Camera for AravisCamera {
         clock.sample(self).map(Some).map_err(|failed| match failed {
             Failed::Lost(error) => error,
             Failed::Refused(detail) => CameraError::Link { doing: "reading its clock", detail },
+            Failed::Nonsense(detail) => CameraError::Nonsense { doing: "reading its clock", detail },
         })
     }
 
@@ -215,20 +245,11 @@ impl Camera for AravisCamera {
         device_clock::ptp_status(self)
     }
 
-    fn test_packet_size(&mut self, bytes: u32) -> Result<Option<u32>, CameraError> {
-        let Some(gv) = self.device.downcast_ref::<aravis::GvDevice>() else { return Ok(None) };
-        let error = link_error("testing the packet size");
-        if self.device.feature("ArvGevSCPSFireTestPacket").is_none() {
-            return Ok(None);
+    fn test_packet_size(&mut self, bytes: u32) -> Result<Option<PacketTest>, CameraError> {
+        match self.device.is::<aravis::GvDevice>() {
+            true => self.test_packets(bytes),
+            false => Ok(None),
         }
-        let size = i32::try_from(bytes).unwrap_or(i32::MAX);
-        self.camera.gv_set_packet_size(size).map_err(&error)?;
-        // Creating a stream tests the size that is set, and looks for a smaller one when nothing arrives.
-        self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::OnFailure);
-        let stream = self.camera.create_stream().map_err(&error);
-        self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::Never);
-        drop(stream?);
-        gv.packet_size().map(Some).map_err(error)
     }
 
     fn create_stream(
@@ -242,6 +263,7 @@ impl Camera for AravisCamera {
             let size_error = link_error("setting the packet size");
             self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::Never);
             self.camera.gv_set_packet_size(bytes).map_err(size_error)?;
+            self.packets_have_room()?;
             let socket = match options.socket {
                 SocketMode::Auto => aravis::GvStreamOption::NONE,
                 SocketMode::Standard => aravis::GvStreamOption::PACKET_SOCKET_DISABLED,
@@ -256,7 +278,7 @@ impl Camera for AravisCamera {
         let canaries = match (self.device.downcast_ref::<aravis::GvDevice>(), blocks.first()) {
             // The size that the camera made of the one asked for: packets have their places by it.
             (Some(gv), Some(block)) => {
-                let bytes = gv.packet_size().map_err(link_error("reading the packet size"))?;
+                let bytes = gv.packet_size().map_err(link_error(READING_PACKET_SIZE))?;
                 Some(Canaries::new(block.pixels().len(), usize::try_from(bytes).unwrap_or(0)))
             }
             _ => None,
@@ -417,7 +439,7 @@ fn form_of(buffer: &aravis::Buffer) -> Result<FrameForm, Payload> {
     if buffer.n_parts() != 1 {
         return Err(Payload::Parts(buffer.n_parts()));
     }
-    let (x, y, width, height) = buffer.image_region();
+    let ([x, y, width, height], padding) = checked::image_of(buffer);
     let mut bytes = 0;
     // SAFETY: the buffer is ours during the call and has one part; `bytes` has the type asked for.
     unsafe { aravis_sys::arv_buffer_get_image_data(buffer.to_glib_none().0, &mut bytes) };
@@ -425,7 +447,7 @@ fn form_of(buffer: &aravis::Buffer) -> Result<FrameForm, Payload> {
         pixel_format: buffer_format(buffer),
         size: (width, height),
         offset: (x, y),
-        padding: buffer.image_padding(),
+        padding,
         bytes,
     })
 }

@@ -148,7 +148,7 @@ pub fn find(camera: &dyn Features) -> Result<Result<DeviceClock, String>, Camera
 fn find_unit(reading: Reading, camera: &dyn Features) -> Result<Result<DeviceClock, String>, CameraError> {
     let read = || match reading.ticks(camera) {
         Ok(ticks) => Ok(Ok(ticks)),
-        Err(Failed::Refused(why)) => Ok(Err(format!("cannot be read ({why})"))),
+        Err(Failed::Refused(why) | Failed::Nonsense(why)) => Ok(Err(format!("cannot be read ({why})"))),
         Err(Failed::Lost(error)) => Err(error),
     };
     let first = match read()? {
@@ -198,7 +198,7 @@ impl DeviceClock {
 /// What a camera says of PTP; `None` where it says nothing.
 ///
 /// # Errors
-/// The camera does not answer.
+/// The camera does not answer, or answers nonsense.
 pub fn ptp_status(camera: &dyn Features) -> Result<Option<String>, CameraError> {
     for latch in ["PtpDataSetLatch", "GevIEEE1588DataSetLatch"] {
         if camera.has(latch) {
@@ -207,10 +207,18 @@ pub fn ptp_status(camera: &dyn Features) -> Result<Option<String>, CameraError> 
         }
     }
     for status in ["PtpStatus", "GevIEEE1588Status"] {
-        if camera.has(status)
-            && let Some(text) = answered(camera.text(status))?
-        {
-            return Ok(Some(text));
+        if !camera.has(status) {
+            continue;
+        }
+        match camera.text(status) {
+            Ok(text) => return Ok(Some(text)),
+            Err(Failed::Refused(_)) => {}
+            Err(Failed::Lost(error)) => return Err(error),
+            // By this its clock is believed: one that says no word of its own language is believed nothing.
+            Err(Failed::Nonsense(what)) => {
+                let detail = format!("{status} is {what}");
+                return Err(CameraError::Nonsense { doing: "reading its PTP state", detail });
+            }
         }
     }
     Ok(None)

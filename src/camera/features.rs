@@ -13,6 +13,8 @@ pub enum Failed {
     Lost(CameraError),
     /// The camera has no such thing, or refuses.
     Refused(String),
+    /// It answers what its own description has no word for.
+    Nonsense(String),
 }
 
 /// Features and registers of an opened camera.
@@ -23,7 +25,8 @@ pub trait Features: Description {
     /// Whether it is there as the camera is set now.
     fn is_available(&self, feature: &str) -> bool;
 
-    /// Its value, by its own kind.
+    /// Its value, by its own kind. Of an enumeration that stands at no entry it is a text that says so: whoever wants another
+    /// value sets it.
     fn read(&self, feature: &str) -> Result<FeatureValue, Failed>;
 
     /// Sets it; whole numbers, numbers and truth values are taken for each other where the feature's kind asks for it. A
@@ -36,7 +39,7 @@ pub trait Features: Description {
     /// A number.
     fn integer(&self, feature: &str) -> Result<i64, Failed>;
 
-    /// An enumeration's entry or a text.
+    /// An enumeration's entry or a text; [`Failed::Nonsense`] where an enumeration stands at no entry.
     fn text(&self, feature: &str) -> Result<String, Failed>;
 
     /// Sets an enumeration.
@@ -61,11 +64,11 @@ pub trait Features: Description {
     fn set_register(&self, address: u64, value: u32) -> Result<(), Failed>;
 }
 
-/// What was refused is not there; a camera that is lost is an error.
+/// What was refused, or has no sense, is not there; a camera that is lost is an error.
 pub fn answered<T>(read: Result<T, Failed>) -> Result<Option<T>, CameraError> {
     match read {
         Ok(value) => Ok(Some(value)),
-        Err(Failed::Refused(_)) => Ok(None),
+        Err(Failed::Refused(_) | Failed::Nonsense(_)) => Ok(None),
         Err(Failed::Lost(error)) => Err(error),
     }
 }

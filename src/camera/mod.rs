@@ -14,6 +14,8 @@ pub mod description;
 mod device_clock;
 #[cfg(feature = "aravis")]
 mod features;
+#[cfg(feature = "aravis")]
+mod packet_test;
 pub mod profile;
 mod quiet;
 #[cfg(feature = "aravis")]
@@ -120,9 +122,38 @@ pub enum CameraError {
         /// What Aravis said.
         detail: String,
     },
+    /// It answers what no camera can mean.
+    #[error(
+        "the camera answers nonsense while {doing} ({detail}); restart it, and where it does so again have its firmware \
+         looked at by its vendor"
+    )]
+    Nonsense {
+        /// What was being done.
+        doing: &'static str,
+        /// What it said.
+        detail: String,
+    },
+    /// It sends test packets, and none arrives.
+    #[error(
+        "no test packet of the camera arrives, of whatever size, within {patience_ms} ms; look for a firewall that drops \
+         them, see `fourdbody doctor`, and whether the camera has a way to this host's address"
+    )]
+    NoTestPackets {
+        /// How long was waited for the packets of one size, ms.
+        patience_ms: u128,
+    },
     /// This host has no memory for its frames.
     #[error("{0}")]
     Memory(String),
+}
+
+/// What test packets have shown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PacketTest {
+    /// The largest packet that arrived, IP and UDP headers counted in.
+    pub arrived: u32,
+    /// The largest that the camera sends, where that is less than what was asked.
+    pub camera_takes: Option<u32>,
 }
 
 /// How a stream is to be set up.
@@ -221,7 +252,7 @@ pub trait Camera: Send {
     /// What is not as it was when it was set up ([`SetUp::watched`]).
     fn changed(&mut self, watched: &State) -> Result<Vec<Change>, CameraError>;
 
-    /// Columns and rows of its images as set now.
+    /// Columns and rows of its images as set now; an error where they are those of no image.
     fn image_size(&mut self) -> Result<(usize, usize), CameraError>;
 
     /// Reads its clock; `None` where it has none that can be read ([`Self::why_no_clock`]).
@@ -235,9 +266,9 @@ pub trait Camera: Send {
         Ok(None)
     }
 
-    /// Has the camera send test packets of `bytes` and gives the size that arrives: `bytes`, or the largest
-    /// smaller one that does. `None` where the transport or the camera has no such test. No stream may exist.
-    fn test_packet_size(&mut self, _bytes: u32) -> Result<Option<u32>, CameraError> {
+    /// Has the camera send test packets of `bytes`, or as large as it can, and gives the size that arrives: that, or the
+    /// largest smaller one that does. `None` where the transport or the camera has no such test. No stream may exist.
+    fn test_packet_size(&mut self, _bytes: u32) -> Result<Option<PacketTest>, CameraError> {
         Ok(None)
     }
 

@@ -82,7 +82,7 @@ impl Work<'_> {
         match self.camera.write(load, &FeatureValue::Flag(true)) {
             Ok(()) => self.wait_for_load(load),
             Err(Failed::Lost(error)) => Err(error),
-            Err(Failed::Refused(why)) => {
+            Err(Failed::Refused(why) | Failed::Nonsense(why)) => {
                 self.told.push(format!(
                     "{load} of {value} was refused ({why}): what the last user set is kept where nothing here sets it"
                 ));
@@ -210,7 +210,7 @@ impl Work<'_> {
         match self.camera.write(feature, value) {
             Ok(()) => {}
             Err(Failed::Lost(error)) => return Err(error),
-            Err(Failed::Refused(why)) => {
+            Err(Failed::Refused(why) | Failed::Nonsense(why)) => {
                 self.problems.push(format!(
                     "{}; correct it in `settings`",
                     refused(feature, &value.to_string(), &why)
@@ -222,7 +222,7 @@ impl Work<'_> {
             Ok(actual) => actual,
             Err(Failed::Lost(error)) => return Err(error),
             // One that can only be written was written.
-            Err(Failed::Refused(_)) => value.clone(),
+            Err(Failed::Refused(_) | Failed::Nonsense(_)) => value.clone(),
         };
         if !matches(setting, &actual) {
             self.problems.push(format!(
@@ -283,7 +283,9 @@ impl Work<'_> {
             match self.camera.write(feature, &wanted) {
                 Ok(()) => why = "it stays".to_owned(),
                 Err(Failed::Lost(error)) => return Err(error),
-                Err(Failed::Refused(reason)) => why = format!("the camera refuses it: {reason}"),
+                Err(Failed::Refused(reason) | Failed::Nonsense(reason)) => {
+                    why = format!("the camera refuses it: {reason}")
+                }
             }
             if let Some(now) = answered(self.camera.read(feature))?
                 && !differs(&wanted, &now)

@@ -65,6 +65,10 @@ impl Check<'_> {
                 self.problems.push(format!("{feature} cannot be read ({why}), expected {expected}"));
                 Ok(None)
             }
+            Err(Failed::Nonsense(what)) => {
+                self.problems.push(format!("{feature} is {what}, expected {expected}"));
+                Ok(None)
+            }
         }
     }
 
@@ -117,7 +121,7 @@ impl Check<'_> {
             // An entry that cannot be selected, or has no mode of its own, is no trigger that could be on.
             match self.camera.set_text(SELECTOR, &entry).and_then(|()| self.camera.text("TriggerMode")) {
                 Ok(mode) if is_on(&mode) => on.push((entry, self.source()?)),
-                Ok(_) | Err(Failed::Refused(_)) => {}
+                Ok(_) | Err(Failed::Refused(_) | Failed::Nonsense(_)) => {}
                 Err(Failed::Lost(error)) => return Err(error),
             }
         }
@@ -132,7 +136,7 @@ impl Check<'_> {
     fn source(&self) -> Result<Option<String>, CameraError> {
         match self.camera.text("TriggerSource") {
             Ok(source) => Ok(Some(source)),
-            Err(Failed::Refused(_)) => Ok(None),
+            Err(Failed::Refused(_) | Failed::Nonsense(_)) => Ok(None),
             Err(Failed::Lost(error)) => Err(error),
         }
     }

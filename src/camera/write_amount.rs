@@ -159,8 +159,15 @@ fn near(
     let most = per_unit.to_word(bounds.max.unwrap_or(value));
     // The camera itself says how far it goes, which is more than its description does.
     if wanted < least - tolerance || wanted > most + tolerance {
+        let then = match write.word {
+            "packet_delay_us" if wanted > most => {
+                "; packets of cameras on one link then come closer to each other, and the switch must hold them: give the \
+                 camera a port of its own, or let each packet be larger (acquisition.packet_bytes)"
+            }
+            _ => "",
+        };
         return Ok(Err(format!(
-            "{name} takes {} to {} {unit} now, asked for {asked}: say {} within that",
+            "{name} takes {} to {} {unit} now, asked for {asked}: say {} within that{then}",
             rounded(least),
             rounded(most),
             write.word
@@ -293,7 +300,7 @@ fn change(write: &Write) -> String {
 fn refused(write: &Write, value: &str, failed: Failed) -> Result<Result<Done, String>, CameraError> {
     match failed {
         Failed::Lost(error) => Err(error),
-        Failed::Refused(why) => Ok(Err(format!(
+        Failed::Refused(why) | Failed::Nonsense(why) => Ok(Err(format!(
             "{} cannot be set to {value}: the camera refuses it ({why}){}",
             write.feature,
             change(write)

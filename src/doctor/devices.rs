@@ -5,7 +5,7 @@ use super::load::Load;
 use super::{Check, Finding};
 use crate::base::ids::CameraId;
 use crate::base::time::monotonic_ns;
-use crate::camera::{Camera, CameraBackend, CameraError, CameraIdentity, SetUp, Wishes};
+use crate::camera::{Camera, CameraBackend, CameraError, CameraIdentity, PacketTest, SetUp, Wishes};
 use crate::config::{ActionConfig, CameraConfig, NodeConfig};
 use crate::control::status::NodeStatus;
 use crate::hsu::{HsuTimeouts, TriggerUnit};
@@ -25,7 +25,7 @@ pub struct OpenedCamera {
     /// What it is set to.
     pub set_up: Result<SetUp, CameraError>,
     /// The packet size that arrives.
-    pub packet_bytes: Result<Option<u32>, CameraError>,
+    pub packet_bytes: Result<Option<PacketTest>, CameraError>,
     /// The shortest way to its clock and back, ns, or why it has none that can be read.
     pub clock: Result<Result<u64, String>, CameraError>,
 }
@@ -108,9 +108,17 @@ fn judge_packets(check: Check, opened: &OpenedCamera, load: &Load) -> Finding {
     let asked = load.packet_bytes;
     let expected = format!("packets of {asked} bytes to arrive (acquisition.packet_bytes)");
     match &opened.packet_bytes {
-        Ok(Some(size)) if *size == asked => check.ok(format!("a test packet of {asked} bytes arrived")),
-        Ok(Some(size)) => check.failed(
-            format!("the largest packet that arrives has {size} bytes"),
+        Ok(Some(test)) if test.arrived == asked => {
+            check.ok(format!("a test packet of {asked} bytes arrived"))
+        }
+        // No network between is asked for what the camera does not send.
+        Ok(Some(PacketTest { arrived, camera_takes: Some(takes) })) if arrived == takes => check.failed(
+            format!("the camera sends packets of {takes} bytes at most, and those arrive"),
+            expected,
+            format!("say acquisition.packet_bytes = {takes}"),
+        ),
+        Ok(Some(PacketTest { arrived, .. })) => check.failed(
+            format!("the largest packet that arrives has {arrived} bytes"),
             expected,
             "raise the MTU on this host's interface and on every switch between, or lower the setting",
         ),
@@ -331,7 +339,7 @@ mod tests {
                     told: Vec::new(),
                     watched: State::new(),
                 }),
-                packet_bytes: Ok(Some(9000)),
+                packet_bytes: Ok(Some(PacketTest { arrived: 9000, camera_takes: None })),
                 clock: Ok(Ok(200_000)),
             }),
         }
@@ -354,12 +362,25 @@ mod tests {
         assert_eq!(grades(&camera()), [Good; 4]);
         let problems = vec!["PixelFormat is Mono16".to_owned()];
         assert_eq!(opened(|c| c.set_up = Err(CameraError::SetUp { problems })), [Good, Failed, Good, Good]);
-        assert_eq!(opened(|c| c.packet_bytes = Ok(Some(1500))), [Good, Good, Failed, Good]);
+        let test = |arrived, camera_takes| Ok(Some(PacketTest { arrived, camera_takes }));
+        assert_eq!(opened(|c| c.packet_bytes = test(1500, None)), [Good, Good, Failed, Good]);
         // USB cameras have neither packets nor, some, a clock.
         assert_eq!(opened(|c| c.packet_bytes = Ok(None)), [Good; 4]);
         assert_eq!(opened(|c| c.clock = Ok(Err("stands still".to_owned()))), [Good, Good, Good, Warning]);
         assert_eq!(opened(|c| c.clock = Err(link())), [Good, Good, Good, Failed]);
         assert_eq!(opened(|c| c.clock = Ok(Ok(5_000_000))), [Good, Good, Good, Warning]);
+    }
+
+    #[test]
+    fn a_camera_that_sends_no_larger_packets_is_no_matter_of_the_network() {
+        let advice = |arrived, camera_takes| {
+            let mut facts = camera();
+            facts.opened.as_mut().expect("opened").packet_bytes =
+                Ok(Some(PacketTest { arrived, camera_takes }));
+            judge_camera(&facts, &Load::reference())[2].advice.clone()
+        };
+        assert_eq!(advice(1444, Some(1444)), "say acquisition.packet_bytes = 1444");
+        assert!(advice(1444, None).contains("MTU") && advice(1444, Some(8000)).contains("MTU"));
     }
 
     #[test]

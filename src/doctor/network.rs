@@ -6,9 +6,10 @@ use super::{Check, Finding};
 use crate::base::ids::CameraId;
 use crate::camera::CameraListing;
 use crate::config::NodeConfig;
-use crate::network::Interface;
+use crate::network::{Interface, without_link};
 use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv4Addr};
+use std::path::Path;
 
 /// Where packets to an address leave this host.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -19,8 +20,8 @@ pub enum Route {
     Shared(Vec<String>),
     /// To a router behind an interface: no camera network.
     Gateway(String),
-    /// Nowhere.
-    None,
+    /// Nowhere; the interfaces of this host that have no link.
+    None(Vec<String>),
 }
 
 /// One Ethernet camera and the way to it.
@@ -56,7 +57,7 @@ pub fn gather(config: &NodeConfig, listed: &[CameraListing], all: &[Interface]) 
 
 fn route(table: &str, address: IpAddr, all: &[Interface]) -> Route {
     // GigE Vision is IPv4 only.
-    let IpAddr::V4(address) = address else { return Route::None };
+    let IpAddr::V4(address) = address else { return Route::None(Vec::new()) };
     match find_route(table, address) {
         Some((names, false)) => match names.as_slice() {
             [name] => {
@@ -66,7 +67,7 @@ fn route(table: &str, address: IpAddr, all: &[Interface]) -> Route {
             _ => Route::Shared(names),
         },
         Some((names, true)) => Route::Gateway(names.join(" or ")),
-        None => Route::None,
+        None => Route::None(without_link(Path::new("/sys"))),
     }
 }
 
@@ -122,10 +123,20 @@ fn judge_path(path: &CameraPath, load: &Load) -> Finding {
     let check = Check::host(format!("way to camera {}", path.id));
     let packet = load.packet_bytes;
     match &path.route {
-        Route::None => check.failed(
+        Route::None(down) if down.is_empty() => check.failed(
             format!("no route to {}", path.address),
             "an interface in the camera's network",
             "give an interface of this host an address in that network",
+        ),
+        // The route goes with the link.
+        Route::None(down) => check.failed(
+            format!("no route to {}, and no link on {}", path.address, down.join(", ")),
+            "an interface with a link in the camera's network",
+            format!(
+                "check the cable, the switch and the camera's power, switch the interface on (`ip link set {} up`), or \
+                 give another one an address in that network",
+                down[0]
+            ),
         ),
         Route::Gateway(name) => check.failed(
             format!("{} lies behind a router ({name})", path.address),
@@ -252,7 +263,10 @@ mod tests {
         assert_eq!(grades(lost.clone()), [Grade::Failed]);
         lost[0].route = Route::Shared(vec!["cam0".to_owned(), "cam1".to_owned()]);
         assert_eq!(grades(lost.clone()), [Grade::Failed]);
-        lost[0].route = Route::None;
-        assert_eq!(grades(lost), [Grade::Failed]);
+        lost[0].route = Route::None(Vec::new());
+        assert_eq!(grades(lost.clone()), [Grade::Failed]);
+        lost[0].route = Route::None(vec!["cam0".to_owned()]);
+        let told = judge(&lost, &Load::reference())[0].to_string();
+        assert!(told.contains("no link on cam0") && told.contains("ip link set cam0 up"), "{told}");
     }
 }

@@ -110,6 +110,19 @@ pub fn interfaces() -> Vec<Interface> {
     found.into_iter().map(|(name, subnets)| Interface::describe(&name, subnets)).collect()
 }
 
+/// Names of interfaces without a link, below `sys`, which is `/sys`: a cable that is out, a switch without power, an interface
+/// that is switched off. With its link an interface often loses its addresses and routes, and then nothing else names it.
+pub fn without_link(sys: &Path) -> Vec<String> {
+    let state = |path: &Path| std::fs::read_to_string(path.join("operstate")).unwrap_or_default();
+    let entries = std::fs::read_dir(sys.join("class/net")).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries
+        .filter(|entry| ["down", "lowerlayerdown"].contains(&state(&entry.path()).trim()))
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    names
+}
+
 /// Names of interfaces that are switched on, each with one of its addresses.
 fn addresses() -> Vec<(String, Subnet)> {
     let mut list: *mut libc::ifaddrs = std::ptr::null_mut();
@@ -159,7 +172,7 @@ pub fn shared_subnets(interfaces: &[Interface]) -> Vec<(Subnet, &str, &str)> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Interface, Subnet, interfaces, shared_subnets};
+    use super::{Interface, Subnet, interfaces, shared_subnets, without_link};
 
     fn subnet(text: &str) -> Subnet {
         text.parse().expect("a network")
@@ -193,6 +206,19 @@ mod tests {
         assert_eq!(shared_subnets(&within), [(subnet("10.0.0.1/16"), "a", "b")]);
         let link_local = [interface("a", &["169.254.1.1/16"]), interface("b", &["169.254.9.9/16"])];
         assert_eq!(shared_subnets(&link_local).len(), 1);
+    }
+
+    #[test]
+    fn interfaces_without_a_link_are_named() {
+        let sys = tempfile::tempdir().expect("a temporary directory");
+        for (name, state) in [("cam1", "down"), ("cam0", "lowerlayerdown"), ("lo", "unknown"), ("eth0", "up")]
+        {
+            let dir = sys.path().join("class/net").join(name);
+            std::fs::create_dir_all(&dir).expect("a directory");
+            std::fs::write(dir.join("operstate"), format!("{state}\n")).expect("writable");
+        }
+        assert_eq!(without_link(sys.path()), ["cam0", "cam1"]);
+        assert!(without_link(&sys.path().join("none")).is_empty());
     }
 
     #[test]

@@ -14,5 +14,5 @@ pub mod wire;
 pub use action::{ActionKeys, ActionStatus, action, action_reply};
 pub use discover::{Answer, Mac, discover, force_address};
 pub use gvcp::{ForceIp, PORT as GVCP_PORT};
-pub use interface::{Interface, Subnet, interfaces, shared_subnets};
+pub use interface::{Interface, Subnet, interfaces, shared_subnets, without_link};
 pub use registers::{KeptAddress, keep_address, read_kept_address};

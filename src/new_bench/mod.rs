@@ -14,6 +14,7 @@ mod packets;
 mod pulses;
 mod roles;
 mod run;
+mod who;
 
 pub use delays::Delays;
 pub use found::Found;

@@ -13,15 +13,10 @@ const LEAST: u32 = 1500;
 /// The largest packet that arrives, at most the interface's MTU; `None` where the transport has no packets.
 ///
 /// # Errors
-/// Not even the least arrives, or the camera is lost.
+/// None arrives, or the camera is lost.
 pub fn largest(camera: &mut dyn Camera, mtu: Option<u32>) -> Result<Option<u32>, CameraError> {
     let most = mtu.unwrap_or(LEAST).min(LARGEST);
-    match camera.test_packet_size(most) {
-        Ok(size) => Ok(size),
-        // Some refuse a size beyond their own largest instead of taking that.
-        Err(_) if most > LEAST => camera.test_packet_size(LEAST),
-        Err(error) => Err(error),
-    }
+    Ok(camera.test_packet_size(most)?.map(|test| test.arrived))
 }
 
 /// What goes over one link after a trigger.

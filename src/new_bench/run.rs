@@ -2,7 +2,7 @@
 //! The steps of a new bench, in their order: who is there, addresses, packets, pulses, names, the rig's rate, pictures, the
 //! node file.
 
-use super::addresses::{self, PATIENCE};
+use super::addresses;
 use super::begun::{Begun, begin_file};
 use super::found::Found;
 use super::lines::{BenchCamera, Unit, find};
@@ -11,13 +11,14 @@ use super::outcome::{NamedCamera, Outcome, comment, picture};
 use super::packets::{Burst, largest};
 use super::pulses::Reception;
 use super::roles::{Claim, Known, Role, assign, by_heads, covered};
+use super::who::{left_out, those_meant, who_answers};
 use crate::base::ids::CameraId;
 use crate::base::write_whole;
 use crate::base::{Exit, Fault};
-use crate::camera::{CameraBackend, Wishes};
+use crate::camera::{Camera, CameraBackend, Wishes};
 use crate::config::{NodeConfig, PacketDelay};
 use crate::hsu::{HsuTimeouts, HsuTiming, TriggerUnit};
-use crate::network::{Answer, Interface, Subnet, discover, interfaces, shared_subnets};
+use crate::network::{Answer, Interface, Subnet, interfaces, shared_subnets, without_link};
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -82,41 +83,37 @@ pub fn set_up(
         .collect();
     let everybody = who_answers(&interfaces, operator);
     let answers = those_meant(options, &everybody);
+    let outside = left_out(&answers, &everybody, &interfaces, options.network);
+    outside.iter().for_each(|line| operator.tell(line));
     let listed = backend.list();
     let mut found: Vec<Found> = answers.iter().map(Found::of_network).collect();
     found.extend(listed.iter().filter_map(Found::of_bus));
     found.iter().for_each(|found| operator.tell(&format!("found {found}")));
-    let roles =
-        assign(&wanted, &found, &options.claims, &begun.in_file).map_err(|problems| device(&problems))?;
+    let roles = assign(&wanted, &found, &options.claims, &begun.in_file).map_err(|mut problems| {
+        // Where one may be that is missing.
+        problems.extend(outside.iter().cloned());
+        let down = without_link(Path::new("/sys"));
+        if found.len() < wanted.len() && !down.is_empty() {
+            problems.push(format!("no link on {}: check cables and switches there", down.join(", ")));
+        }
+        device(&problems)
+    })?;
     ask_before_pulses(options, &roles, &found, operator)?;
     no_shared_subnet(&roles, &found, &interfaces)?;
 
-    let mut work = Work { begun, interfaces, roles, found, told: Vec::new(), problems: Vec::new() };
+    let order = wanted.into_iter().map(|(id, _)| id).collect();
+    let mut work = Work {
+        begun,
+        interfaces,
+        order,
+        roles,
+        away: Vec::new(),
+        found,
+        told: outside,
+        problems: Vec::new(),
+    };
     work.addresses((&answers, &everybody), options.network, operator)?;
     work.measure(options, backend, operator)
-}
-
-/// Everybody who answers.
-fn who_answers(interfaces: &[Interface], operator: &mut dyn Operator) -> Vec<Answer> {
-    let names: Vec<String> = interfaces
-        .iter()
-        .map(|at| {
-            let subnets: Vec<String> = at.subnets.iter().map(ToString::to_string).collect();
-            format!("{} ({})", at.name, subnets.join(", "))
-        })
-        .collect();
-    operator.tell(&format!("who is there: asking on {}", names.join(", ")));
-    discover(interfaces, PATIENCE)
-}
-
-/// Those in the wanted network, and those that were named.
-fn those_meant(options: &Options, everybody: &[Answer]) -> Vec<Answer> {
-    let is_meant = |answer: &&Answer| {
-        let found = Found::of_network(answer);
-        options.network.is_none_or(|network| network.contains(answer.address))
-            || options.claims.iter().any(|claim| found.is_known_as(&claim.who))
-    };
-    everybody.iter().filter(is_meant).cloned().collect()
 }
 
 /// Cameras of one head that only their order tells apart: somebody must be there, or have said so.
@@ -162,7 +159,12 @@ fn no_shared_subnet(roles: &[Role], found: &[Found], interfaces: &[Interface]) -
 struct Work {
     begun: Begun,
     interfaces: Vec<Interface>,
+    /// The cameras of this node, in the rig's order.
+    order: Vec<CameraId>,
+    /// Those that can be measured.
     roles: Vec<Role>,
+    /// Those that are held, or whose packets do not arrive: they have names and addresses, and nothing else is known.
+    away: Vec<Role>,
     found: Vec<Found>,
     told: Vec<String>,
     problems: Vec<String>,
@@ -238,9 +240,38 @@ impl Work {
         }
     }
 
+    /// A camera that cannot be measured.
+    fn unmeasured(&self, role: &Role) -> Entry {
+        let told = format!("{}, not measured", comment(&self.found[role.camera], role.known, None));
+        Entry { told: Some(told), ..self.entry(role) }
+    }
+
+    /// Where a camera stands in the rig.
+    fn place(&self, id: &CameraId) -> usize {
+        self.order.iter().position(|known| known == id).unwrap_or(usize::MAX)
+    }
+
     /// The file as it is known now.
     fn text(&self, entries: &[Entry], packet_bytes: Option<u32>) -> Result<String, Fault> {
-        with_cameras(&self.begun.text, entries, packet_bytes).map_err(usage)
+        let away = self.away.iter().map(|role| self.unmeasured(role));
+        let mut entries: Vec<Entry> = entries.iter().cloned().chain(away).collect();
+        entries.sort_by_key(|entry| self.place(&entry.id));
+        with_cameras(&self.begun.text, &entries, packet_bytes).map_err(usage)
+    }
+
+    /// Opens a camera and tries its packets.
+    fn reach(
+        &self,
+        role: &Role,
+        backend: &mut dyn CameraBackend,
+    ) -> Result<(Box<dyn Camera>, Option<u32>), String> {
+        let found = &self.found[role.camera];
+        let at = self.interfaces.iter().find(|at| found.interface.as_deref() == Some(at.name.as_str()));
+        let mut camera =
+            backend.open(&found.place).map_err(|error| format!("camera {} ({found}): {error}", role.id))?;
+        let size = largest(camera.as_mut(), at.and_then(|at| at.mtu))
+            .map_err(|error| format!("camera {} ({found}): its packets cannot be tried: {error}", role.id))?;
+        Ok((camera, size))
     }
 
     /// Opens the cameras, finds their lines, names them, and writes the file.
@@ -254,33 +285,27 @@ impl Work {
         let entries: Vec<Entry> = self.roles.iter().map(|role| self.entry(role)).collect();
         let read = |text: &str| NodeConfig::from_text(text, path).map_err(usage);
         read(&self.text(&entries, None)?)?;
-        let mut opened = Vec::new();
-        for role in &self.roles {
-            let found = &self.found[role.camera];
-            match backend.open(&found.place) {
-                Ok(camera) => opened.push(camera),
-                Err(error) => self.problems.push(format!("camera {} ({found}): {error}", role.id)),
-            }
-        }
-        if !self.problems.is_empty() {
-            return Err(device(&self.problems));
-        }
-        let mut sizes = Vec::new();
-        for (camera, role) in opened.iter_mut().zip(&self.roles) {
-            let found = &self.found[role.camera];
-            let at = self.interfaces.iter().find(|at| found.interface.as_deref() == Some(at.name.as_str()));
-            match largest(camera.as_mut(), at.and_then(|at| at.mtu)) {
-                Ok(size) => sizes.push(size),
-                Err(error) => {
-                    let text = format!(
-                        "{found}: not even the least packets arrive ({error}): look for a firewall, see \
-                                        `fourdbody doctor`"
-                    );
-                    return Err(device(&[text]));
+        let (mut opened, mut sizes) = (Vec::new(), Vec::new());
+        for role in std::mem::take(&mut self.roles) {
+            match self.reach(&role, backend) {
+                Ok((camera, size)) => {
+                    opened.push(camera);
+                    sizes.push(size);
+                    self.roles.push(role);
+                }
+                // The others are measured all the same.
+                Err(problem) => {
+                    operator.tell(&problem);
+                    self.problems.push(problem);
+                    self.away.push(role);
                 }
             }
         }
         let packet_bytes = sizes.iter().flatten().min().copied();
+        if self.roles.is_empty() {
+            return self.finish(path, packet_bytes, &mut [], Ok(Vec::new()));
+        }
+        let entries: Vec<Entry> = self.roles.iter().map(|role| self.entry(role)).collect();
         let config = read(&self.text(&entries, packet_bytes)?)?;
         let delays = self.packet_delays(&config);
         let mut cameras = Vec::new();
@@ -320,7 +345,7 @@ impl Work {
     fn packet_delays(&mut self, config: &NodeConfig) -> Vec<Option<PacketDelay>> {
         let interface = |role: &Role| self.found[role.camera].interface.clone();
         let mut shared: BTreeMap<String, usize> = BTreeMap::new();
-        for name in self.roles.iter().filter_map(interface) {
+        for name in self.roles.iter().chain(&self.away).filter_map(interface) {
             *shared.entry(name).or_default() += 1;
         }
         let burst = |role: &Role| {
@@ -361,8 +386,16 @@ impl Work {
         let heads: Vec<Option<usize>> =
             cameras.iter().map(|bench| bench.wired.as_ref().map(|wired| wired.delays.head)).collect();
         let before: Vec<usize> = self.roles.iter().map(|role| role.camera).collect();
-        match by_heads(&self.roles, &heads) {
-            Ok(roles) => self.roles = roles,
+        // One that is away may have any name that is left.
+        let away: Vec<usize> = self.away.iter().map(|role| role.camera).collect();
+        let here = self.roles.iter().cloned().zip(heads);
+        let mut all: Vec<_> = here.chain(self.away.iter().map(|role| (role.clone(), None))).collect();
+        all.sort_by_key(|(role, _)| self.place(&role.id));
+        let (roles, heads): (Vec<Role>, Vec<Option<usize>>) = all.into_iter().unzip();
+        match by_heads(&roles, &heads) {
+            Ok(roles) => {
+                (self.away, self.roles) = roles.into_iter().partition(|role| away.contains(&role.camera));
+            }
             Err(problems) => self.problems.extend(problems),
         }
         // Cameras stand in the order of their roles.
@@ -378,6 +411,8 @@ impl Work {
             let which: Vec<usize> = (0..self.roles.len()).filter(|i| open(&self.roles[*i])).collect();
             match which.as_slice() {
                 _ if !which.contains(&place) => continue,
+                // Nobody knows which of the two is away.
+                [_] if self.away.iter().any(open) => continue,
                 [_] if cameras[place].wired.is_some() => {
                     self.roles[place].known = Known::ByPulse;
                     continue;
@@ -500,6 +535,19 @@ impl Work {
                 self.told.push(of(&text));
             }
         }
+        named.extend(self.away.iter().map(|role| NamedCamera {
+            id: role.id.clone(),
+            device: self.found[role.camera].clone(),
+            named: role.known,
+            trigger_line: None,
+            head: None,
+            stamp_us: None,
+            arrival_us: None,
+            largest_packet_bytes: None,
+            frames_at_rate: None,
+            picture: None,
+        }));
+        named.sort_by_key(|camera| self.place(&camera.id));
         let text = self.text(&entries, packet_bytes)?;
         NodeConfig::from_text(&text, path).map_err(usage)?;
         write_whole(path, |file| file.write_all(text.as_bytes()))

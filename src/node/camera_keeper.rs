@@ -221,8 +221,13 @@ impl Work {
     fn look_at_ptp(&mut self, at_the_end: bool) {
         let Some(before) = &self.ptp else { return };
         let camera = self.setup.camera.camera.as_mut().filter(|_| self.receiver.is_some());
-        // A camera that does not answer is lost, and that is noted.
-        let Some(Ok(status)) = camera.map(|camera| camera.ptp_status()) else { return };
+        let status = match camera.map(|camera| camera.ptp_status()) {
+            Some(Ok(status)) => status,
+            // Nothing that it says of its clock can be believed, and its frames are placed by that.
+            Some(Err(error @ CameraError::Nonsense { .. })) => return self.lost(&error),
+            // A camera that does not answer is lost, and that is noted.
+            _ => return,
+        };
         let status = status.unwrap_or_else(|| "not told".to_owned());
         if at_the_end || status != *before {
             self.note(PTP_STATUS, status.clone());
@@ -311,6 +316,9 @@ impl Work {
             return Err(reason);
         }
         let set_up = camera.set_up(&self.setup.camera.wishes).map_err(text)?;
+        if self.ptp.is_some() {
+            camera.ptp_status().map_err(text)?;
+        }
         self.setup.options.contract = set_up.contract;
         self.setup.camera.watched = set_up.watched;
         self.set = set_up.settings.len();

@@ -82,6 +82,8 @@ mod matrix;
 mod merging;
 #[cfg(feature = "aravis")]
 mod new_bench;
+#[cfg(feature = "aravis")]
+mod nonsense;
 mod object_store;
 #[cfg(feature = "aravis")]
 mod plan_faults;

@@ -178,6 +178,41 @@ impl Operator for Hands {
     }
 }
 
+/// One head of two cameras: one is held by another program, and what is known of both is written.
+#[test]
+fn a_camera_that_is_held_ends_nothing_for_the_others() {
+    use fourdbody::camera::CameraBackend;
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let text = rig_of(20.0, lab::SIZE);
+    let one_head = text.split("\n[[head]]\n").take(2).collect::<Vec<_>>().join("\n[[head]]\n");
+    let laboratory = lab::start_laboratory(&options(one_head, dir.path(), 243));
+    let held = AravisCameras.open("127.0.243.11").expect("the other program opens it first");
+    let file = dir.path().join("bench.toml");
+    std::fs::write(&file, "").expect("writable");
+    let done = setup(dir.path(), 243, &["--json"]);
+    assert_eq!(done.status.code(), Some(5), "{}", text_of(&done));
+    assert_contains(
+        &text_of(&done),
+        &["camera h0_up", "controlled by another program on 127.", "1 problems"],
+    );
+    let outcome: Value = serde_json::from_slice(&done.stdout).expect("JSON");
+    let of = |place: usize, key: &str| outcome["cameras"][place][key].clone();
+    assert_eq!((of(0, "id"), of(1, "id")), ("h0_up".into(), "h0_low".into()), "in the rig's order");
+    assert_eq!((of(0, "trigger_line"), of(1, "trigger_line")), (Value::Null, "Line0".into()));
+    let config = NodeConfig::load(&file).expect("a whole file");
+    let addresses: Vec<&str> = config.cameras.iter().map(|camera| camera.address.as_str()).collect();
+    assert_eq!(addresses, ["127.0.243.11", "127.0.243.12"]);
+    assert_eq!(config.cameras[1].words.trigger_line.as_deref(), Some("Line0"));
+    assert_contains(&std::fs::read_to_string(&file).expect("readable"), &["not measured"]);
+    // When it is free, the same command does the rest.
+    drop(held);
+    let done = setup(dir.path(), 243, &[]);
+    assert_eq!(done.status.code(), Some(0), "{}", text_of(&done));
+    let text = std::fs::read_to_string(&file).expect("readable");
+    assert!(!text.contains("not measured"), "{text}");
+    drop(laboratory);
+}
+
 /// Takes some 10 s.
 #[test]
 fn two_cameras_of_a_head_are_told_apart_by_a_covered_lens() {

@@ -79,6 +79,9 @@ pub enum Kind {
     Unplugged,
     /// Another client takes control of the camera, and gives it back after some triggers.
     ControlTaken,
+    /// For some triggers the camera's registers hold what its description has no word for: a state of PTP that is none, an
+    /// image without columns.
+    Nonsense,
     /// Another client asks, tells and babbles on the control channel, without any right to.
     RogueClient,
     /// Stream packets with the ids of frames far away come from a foreign address.
@@ -122,9 +125,10 @@ impl Kind {
     }
 
     /// Kinds that only happen where they are named: they cost a camera many triggers, or come from a third party.
-    pub const APART: [Kind; 7] = [
+    pub const APART: [Kind; 8] = [
         Kind::Unplugged,
         Kind::ControlTaken,
+        Kind::Nonsense,
         Kind::RogueClient,
         Kind::ForeignFar,
         Kind::ForeignAhead,
@@ -186,6 +190,7 @@ impl fmt::Display for Kind {
             Kind::ShortPackets => "short_packets",
             Kind::Unplugged => "unplugged",
             Kind::ControlTaken => "control_taken",
+            Kind::Nonsense => "nonsense",
             Kind::RogueClient => "rogue_client",
             Kind::ForeignFar => "foreign_far",
             Kind::ForeignAhead => "foreign_ahead",
@@ -328,7 +333,8 @@ impl FaultPlan {
 
     /// Whether any of its faults comes from another client.
     pub fn needs_stranger(&self) -> bool {
-        let stranger = |kind: &Kind| Kind::APART.contains(kind) && *kind != Kind::Unplugged;
+        let alone = [Kind::Unplugged, Kind::Nonsense];
+        let stranger = |kind: &Kind| Kind::APART.contains(kind) && !alone.contains(kind);
         self.probability.keys().any(stranger) || self.named.values().any(|named| stranger(&named.kind))
     }
 
@@ -412,7 +418,7 @@ impl Fault {
             // Aravis follows an id that is up to 100 ahead. The frame that it makes of it must have been given up before
             // the real one comes: nobody can tell their packets apart (docs/design/faults.md).
             Kind::ForeignAhead => by_chance(24, 60),
-            kind if kind.is_absence() => by_chance(plan.absence.0, plan.absence.1),
+            kind if kind.is_absence() || kind == Kind::Nonsense => by_chance(plan.absence.0, plan.absence.1),
             _ => 1,
         });
         Self { kind, chance, count }
@@ -455,7 +461,9 @@ impl CameraPlan {
         let fault = Fault::new(plan, kind, chance, count);
         let (lasts, clear) = match kind {
             Kind::ForeignAhead => (fault.count as i64 + 1, plan.clear_triggers),
-            Kind::Stall | Kind::Unplugged | Kind::ControlTaken => (fault.count as i64, plan.clear_triggers),
+            Kind::Stall | Kind::Unplugged | Kind::ControlTaken | Kind::Nonsense => {
+                (fault.count as i64, plan.clear_triggers)
+            }
             Kind::ClockReset => (1, plan.clear_after_reset),
             _ => (1, plan.clear_triggers),
         };

@@ -85,6 +85,12 @@ pub fn expectation(kind: Kind) -> (Vec<String>, Vec<String>) {
             let causes = [GapCause::Unplugged, GapCause::ControlLost];
             (causes.map(|cause| cause.to_string()).to_vec(), Some("camera_lost"))
         }
+        // It sends on until its node has looked, and is gone from then on.
+        Kind::Nonsense => {
+            let causes = [GapCause::Unplugged, GapCause::ControlLost];
+            let gone = causes.iter().map(ToString::to_string);
+            (std::iter::once(FRAME.to_owned()).chain(gone).collect(), Some("camera_lost"))
+        }
         Kind::ControlTaken => (vec![GapCause::ControlLost.to_string()], Some("camera_lost")),
     };
     (outcomes, event.map(str::to_owned).into_iter().collect())
@@ -108,7 +114,7 @@ impl TruthLog {
         let (expected, events) = expectation(fault.kind);
         let (camera, kind) = (camera.to_owned(), fault.kind.to_string());
         let lasts = match fault.kind {
-            kind if kind.is_absence() => Some(fault.count),
+            kind if kind.is_absence() || kind == Kind::Nonsense => Some(fault.count),
             _ => None,
         };
         self.write_down(&Injected {

@@ -192,6 +192,7 @@ impl SimulatedCamera {
             presence: Arc::clone(&presence),
             rogue,
             absence: None,
+            sense_from: None,
             last_sent: None,
         };
         let controller = Controller {
@@ -210,6 +211,7 @@ impl SimulatedCamera {
             actions: Actions::new(options.action_fates),
             acquisitions: 0,
             answer_late: Duration::from_millis(habits.answer_late_ms),
+            test_packets_late: Duration::from_millis(habits.test_packet_late_ms),
             address: options.address,
             late: options.faults.as_ref().map_or(Duration::ZERO, |faults| faults.plan.late),
             stop: Arc::clone(&stop),
@@ -298,6 +300,8 @@ struct Controller {
     /// Which action commands reach it, and which triggers they are.
     actions: Actions,
     acquisitions: u64,
+    /// How late test packets go out.
+    test_packets_late: Duration,
     /// How late writes are answered.
     answer_late: Duration,
     /// Where its sockets are bound.
@@ -359,6 +363,7 @@ impl Controller {
             self.control.acquisition_ended();
         }
         let ignored = self.statistics.triggers_ignored_now.load(Relaxed);
+        self.control.registers.nonsense = self.presence.talks_nonsense();
         self.control.registers.triggers_ignored = u32::try_from(ignored).unwrap_or(u32::MAX);
         let arrivals = match self.actions.fate(datagram) {
             ActionFate::Arrives => 1,
@@ -455,7 +460,15 @@ impl Controller {
                 Action::TestPacket { destination, packet_size, do_not_fragment } => {
                     // Too long a packet must vanish, as it would on the wire: that is the test.
                     let _ = net::set_do_not_fragment(&self.stream_socket, do_not_fragment);
-                    let _ = self.stream_socket.send_to(&gvsp::test_packet(packet_size), destination);
+                    let (socket, late) = (Arc::clone(&self.stream_socket), self.test_packets_late);
+                    let send = move || {
+                        std::thread::sleep(late);
+                        drop(socket.send_to(&gvsp::test_packet(packet_size), destination));
+                    };
+                    match late.is_zero() {
+                        true => send(),
+                        false => drop(std::thread::Builder::new().name("late-test".to_owned()).spawn(send)),
+                    }
                 }
                 Action::Move(address) if address != self.address => self.move_to(address),
                 Action::Move(_) => {}

@@ -6,19 +6,26 @@
 
 use super::VENDOR;
 use super::gvsp::FORMATS;
-use super::habits::ClockHabit;
+use super::habits::{ClockHabit, Habits};
 use super::map::Id;
 use super::registers::{EXTENDED_IDS_BIT, PACKET_SIZE, PACKET_SIZE_STEP, PTP_STATES, WIDTH_MIN};
 use super::settings::{AcquisitionMode, EXPOSURE_US, ExposureMode, FRAME_RATE_MIN, GAIN_DB, TriggerSource};
 use std::fmt::Write;
 
 /// The XML document, padded to a multiple of four bytes so that it can be read in words.
-pub fn xml(model: &str, clock: ClockHabit) -> Vec<u8> {
+pub fn xml(model: &str, habits: &Habits) -> Vec<u8> {
     let mut xml = Description::default();
     xml.device_control();
     xml.image_format_control();
     xml.acquisition_control();
-    xml.transport_layer_control(clock);
+    let packet_max = match habits.packet_max_told {
+        0 => *PACKET_SIZE.end(),
+        told => told,
+    };
+    xml.transport_layer_control(habits.clock, packet_max);
+    if habits.broken_description {
+        xml.broken();
+    }
     let mut document = xml.document(model).into_bytes();
     while !document.len().is_multiple_of(4) {
         document.push(b'\n');
@@ -238,7 +245,7 @@ impl Description {
         self.float("Gain", Id::Gain, "dB", &limits(GAIN_DB));
     }
 
-    fn transport_layer_control(&mut self, clock: ClockHabit) {
+    fn transport_layer_control(&mut self, clock: ClockHabit, packet_max: u16) {
         self.category("TransportLayerControl");
         self.integer("PayloadSize", Id::PayloadSize, Mode::Ro, false, Limits::None);
         self.feature("TLParamsLocked");
@@ -278,7 +285,7 @@ impl Description {
         self.register("GevGVSPExtendedIDModeReg", Id::GvspConfiguration, Mode::Rw);
         self.integer_node("GevSCPHostPort", LOCKED, Limits::Range(0, 0xffff, 1));
         self.bits("GevSCPHostPortReg", Id::HostPort, Mode::Rw, (16, 31));
-        let (min, max) = (u64::from(*PACKET_SIZE.start()), u64::from(*PACKET_SIZE.end()));
+        let (min, max) = (u64::from(*PACKET_SIZE.start()), u64::from(packet_max));
         let limits = Limits::Range(min, max, u64::from(PACKET_SIZE_STEP));
         self.integer_node("GevSCPSPacketSize", LOCKED, limits);
         self.bits("GevSCPSPacketSizeReg", Id::PacketSize, Mode::Rw, (16, 31));
@@ -298,6 +305,39 @@ impl Description {
         self.integer("GevSCDA", Id::Destination, Mode::Rw, true, Limits::None);
         self.integer_node("GevSCSP", "", Limits::None);
         self.bits("GevSCSPReg", Id::SourcePort, Mode::Ro, (16, 31));
+    }
+
+    /// Features that the description names and does not have, and some that point to what is not there.
+    fn broken(&mut self) {
+        self.feature("NotThere");
+        let gone = "<pValue>NoSuchNode</pValue>";
+        for (name, node) in [
+            (
+                "BrokenInteger",
+                format!("<Integer Name=\"BrokenInteger\">{gone}<pMax>NoSuchNode</pMax></Integer>"),
+            ),
+            ("BrokenFloat", format!("<Float Name=\"BrokenFloat\">{gone}<pMin>NoSuchNode</pMin></Float>")),
+            ("BrokenBoolean", format!("<Boolean Name=\"BrokenBoolean\">{gone}</Boolean>")),
+            (
+                "BrokenCommand",
+                format!("<Command Name=\"BrokenCommand\">{gone}<CommandValue>1</CommandValue></Command>"),
+            ),
+            ("BrokenEntries", format!("<Enumeration Name=\"BrokenEntries\">{gone}</Enumeration>")),
+            (
+                "BrokenEntry",
+                "<Enumeration Name=\"BrokenEntry\"><EnumEntry Name=\"One\"></EnumEntry></Enumeration>"
+                    .to_owned(),
+            ),
+            (
+                "BrokenSwissKnife",
+                "<IntSwissKnife Name=\"BrokenSwissKnife\"><pVariable Name=\"A\">NoSuchNode</pVariable>\
+                 <Formula>A / 0</Formula></IntSwissKnife>"
+                    .to_owned(),
+            ),
+        ] {
+            self.feature(name);
+            self.node(&node);
+        }
     }
 
     fn timestamp(&mut self) {
@@ -354,7 +394,8 @@ mod tests {
     #[test]
     fn every_reference_has_its_node() {
         for clock in [ClockHabit::Ticks, ClockHabit::Bootstrap, ClockHabit::Nanoseconds] {
-            references_have_nodes(&xml("Sim 23", clock));
+            let habits = Habits { clock, ..Habits::default() };
+            references_have_nodes(&xml("Sim 23", &habits));
         }
     }
 

@@ -36,6 +36,16 @@ pub struct Habits {
     pub command_ms: u64,
     /// Answers to writes come so many ms late.
     pub answer_late_ms: u64,
+    /// Test packets come so many ms after they were asked for.
+    pub test_packet_late_ms: u64,
+    /// Its description names this as the largest packet, bytes, whatever it takes; 0: the largest that it takes.
+    pub packet_max_told: u16,
+    /// What it says of itself has a byte that is no UTF-8, as names in other alphabets had before.
+    pub foreign_names: bool,
+    /// After power-on its `AcquisitionMode` holds a value of none of its entries, until one is set.
+    pub no_entry: bool,
+    /// Its description names features that it does not have, and nodes that are not there.
+    pub broken_description: bool,
     /// Another client has control for so many ms after power-on.
     pub held_ms: u64,
     /// It has a link-local address until somebody gives it another; for cameras of other makes.
@@ -175,6 +185,11 @@ impl Habits {
                 exposures: table.exposures,
                 command_ms: table.command_ms,
                 answer_late_ms: table.answer_late_ms,
+                test_packet_late_ms: table.test_packet_late_ms,
+                packet_max_told: table.packet_max_told,
+                foreign_names: table.foreign_names,
+                no_entry: table.no_entry,
+                broken_description: table.broken_description,
                 held_ms: table.held_ms,
                 link_local: table.link_local,
                 tick_ns: table.tick_ns,
@@ -224,6 +239,16 @@ struct Table {
     command_ms: u64,
     #[serde(default)]
     answer_late_ms: u64,
+    #[serde(default)]
+    test_packet_late_ms: u64,
+    #[serde(default)]
+    packet_max_told: u16,
+    #[serde(default)]
+    foreign_names: bool,
+    #[serde(default)]
+    no_entry: bool,
+    #[serde(default)]
+    broken_description: bool,
     #[serde(default)]
     held_ms: u64,
     #[serde(default)]

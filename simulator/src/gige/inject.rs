@@ -157,7 +157,7 @@ pub fn datagrams(mut packets: Vec<Vec<u8>>, fault: Fault, header: usize) -> Vec<
         Kind::TriggerIgnored | Kind::ExtraFrame | Kind::IdJump | Kind::ClockReset => {}
         Kind::StampGlitch | Kind::StampNear | Kind::StampAbsent => {}
         Kind::Unplugged | Kind::ControlTaken => packets.clear(),
-        Kind::RogueClient => {}
+        Kind::RogueClient | Kind::Nonsense => {}
         Kind::ForeignFar | Kind::ForeignAhead | Kind::ForeignPixels | Kind::ForeignSmall => {}
         // What they are is in the layout.
         Kind::WrongFormat | Kind::PaddedRows | Kind::ChunksAppended | Kind::ShortPackets => {}

@@ -12,6 +12,8 @@ pub struct Presence {
     dark: AtomicBool,
     /// How often power came back.
     boots: AtomicU64,
+    /// Its registers hold what its description has no word for.
+    nonsense: AtomicBool,
     /// Who is to be given control next.
     usurper: Mutex<Option<SocketAddrV4>>,
 }
@@ -37,6 +39,16 @@ impl Presence {
     /// How often power came back.
     pub fn boots(&self) -> u64 {
         self.boots.load(SeqCst)
+    }
+
+    /// Its registers hold nonsense from now on, or do not any more.
+    pub fn talk_nonsense(&self, nonsense: bool) {
+        self.nonsense.store(nonsense, SeqCst);
+    }
+
+    /// Whether its registers hold nonsense.
+    pub fn talks_nonsense(&self) -> bool {
+        self.nonsense.load(SeqCst)
     }
 
     /// Control shall go to another client.

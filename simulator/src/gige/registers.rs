@@ -5,18 +5,19 @@
 //! camera's own features, declared to the world by [`super::genicam`].
 
 use super::clock::CameraClock;
+use super::genicam;
 use super::gvcp::{DISCOVERY_SIZE, ForceIp, Status};
 use super::gvsp::{FORMATS, Form, IdMode};
 use super::habits::{ClockHabit, Habits};
 use super::make::{Firmware, Make};
 use super::map::{Access, Id, Register, find};
 use super::network::Network;
-use super::sensor;
 use super::settings::{AcquisitionMode, ExposureMode, Settings, TriggerSource};
-use super::{VENDOR, genicam};
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::Arc;
 use std::time::Instant;
+
+mod values;
 
 /// Where the GenICam XML starts; the URL register says so.
 pub const XML_ADDRESS: u32 = 0x0010_0000;
@@ -30,17 +31,8 @@ pub const PACKET_SIZE_STEP: u16 = 4;
 pub const WIDTH_MIN: u32 = 16;
 /// Shortest heartbeat timeout, ms.
 const HEARTBEAT_MIN: u32 = 500;
-/// GVCP capability: user-defined name, serial number, the controller's port and address, PACKETRESEND,
-/// WRITEMEM, concatenation.
-const GVCP_CAPABILITY: u32 = 1 << 31 | 1 << 30 | 1 << 27 | 1 << 2 | 1 << 1 | 1;
-/// GVCP capability: PENDING_ACK.
-const PENDING_ACKS: u32 = 1 << 5;
-/// GVCP capability: IEEE 1588, scheduled ACTION, ACTION.
-const ACTIONS: u32 = 1 << 19 | 1 << 17 | 1 << 6;
 /// States of PTP, as IEEE 1588 numbers them.
 pub const PTP_STATES: [(&str, u32); 3] = [("Disabled", 3), ("Listening", 4), ("Slave", 9)];
-/// GVSP capability: stream source port register, 16-bit block ids.
-const GVSP_CAPABILITY: u32 = 1 << 31 | 1 << 30;
 /// GVSP configuration: 64-bit block ids are on.
 pub const EXTENDED_IDS_BIT: u32 = 1 << 30;
 
@@ -115,6 +107,10 @@ pub struct Registers {
     /// Device key, group key and group mask of the actions that it takes; mask 0: none.
     pub action_keys: [u32; 3],
     ptp: bool,
+    /// No entry of `AcquisitionMode` was set yet, and it stands at none.
+    no_entry: bool,
+    /// Some registers hold what the description has no word for.
+    pub nonsense: bool,
 }
 
 impl Registers {
@@ -123,7 +119,9 @@ impl Registers {
         let mut settings = Settings::new(sensor.0, sensor.1);
         settings.pixel_format = habits.power_on.format;
         Self {
-            xml: genicam::xml(&identity.model, habits.clock),
+            xml: genicam::xml(&identity.model, &habits),
+            no_entry: habits.no_entry,
+            nonsense: false,
             habits,
             firmware: None,
             network: Network::new(identity.address),
@@ -417,7 +415,10 @@ impl Registers {
                 accept((1..=self.sensor.1).contains(&value))?;
                 settings.height = value;
             }
-            Id::AcquisitionMode => settings.mode = AcquisitionMode::from_code(value).ok_or(coded)?,
+            Id::AcquisitionMode => {
+                settings.mode = AcquisitionMode::from_code(value).ok_or(coded)?;
+                self.no_entry = false;
+            }
             Id::FrameCount => {
                 accept((1..=0xffff).contains(&value))?;
                 settings.frame_count = value;
@@ -472,111 +473,24 @@ impl Registers {
             4 => Some(self.integer(register.id).to_be_bytes()),
             8 => self.float(register.id).to_be_bytes().get(offset..offset + 4)?.try_into().ok(),
             _ => {
-                let text = self.text(register.id);
+                let mut text = self.text(register.id).into_bytes();
+                if self.habits.foreign_names
+                    && matches!(register.id, Id::Model | Id::UserName | Id::DeviceVersion)
+                {
+                    // A letter of Latin-1.
+                    text.truncate(usize::from(register.length) - 2);
+                    text.push(0xfc);
+                }
                 let mut word = [0; 4];
                 for (i, byte) in word.iter_mut().enumerate() {
                     // The last byte stays a terminator.
                     let at = offset + i;
                     if at + 1 < usize::from(register.length) {
-                        *byte = text.as_bytes().get(at).copied().unwrap_or(0);
+                        *byte = text.get(at).copied().unwrap_or(0);
                     }
                 }
                 Some(word)
             }
-        }
-    }
-
-    fn text(&self, id: Id) -> String {
-        match id {
-            Id::Manufacturer => match &self.firmware {
-                Some(firmware) => firmware.vendor(),
-                None => VENDOR.to_owned(),
-            },
-            Id::Model => self.identity.model.clone(),
-            Id::DeviceVersion => env!("CARGO_PKG_VERSION").to_owned(),
-            Id::ManufacturerInfo => "simulated camera".to_owned(),
-            Id::Serial => self.identity.serial.clone(),
-            Id::UserName => self.identity.user_name.clone(),
-            Id::XmlUrl => format!("Local:fourdbody-sim.xml;{XML_ADDRESS:x};{:x}", self.xml.len()),
-            _ => String::new(),
-        }
-    }
-
-    fn float(&self, id: Id) -> f64 {
-        match id {
-            Id::ExposureTime => self.settings.exposure_us(),
-            Id::FrameRate => self.settings.frame_rate(),
-            Id::FrameRateMax => {
-                let period = sensor::shortest_period(self.settings.exposure(), self.settings.height);
-                1.0 / period.as_secs_f64()
-            }
-            Id::Gain => self.settings.gain_db(),
-            _ => 0.0,
-        }
-    }
-
-    fn integer(&self, id: Id) -> u32 {
-        let settings = &self.settings;
-        let mac = self.mac();
-        if let Some(value) = self.firmware.as_ref().and_then(|_| self.network.word(id)) {
-            return value;
-        }
-        match id {
-            Id::Version => 2 << 16,
-            // Big-endian, transmitter, UTF-8.
-            Id::DeviceMode => 1 << 31 | 1,
-            Id::MacHigh => (mac >> 32) as u32,
-            Id::MacLow => (mac & 0xffff_ffff) as u32,
-            // Its address is given: what the standard calls a persistent IP.
-            Id::IpOptions | Id::IpConfiguration | Id::NetworkInterfaces | Id::StreamChannels => 1,
-            Id::IpAddress | Id::PersistentAddress => self.identity.address.to_bits(),
-            Id::SubnetMask | Id::PersistentMask => 0xff00_0000,
-            Id::GvspCapability => GVSP_CAPABILITY,
-            Id::GvcpCapability if self.firmware.is_some() => GVCP_CAPABILITY | PENDING_ACKS,
-            Id::GvcpCapability => GVCP_CAPABILITY | ACTIONS,
-            Id::ActionSignals => 1,
-            // The device key can be written alone.
-            Id::ActionGroupKey => self.action_keys[1],
-            Id::ActionGroupMask => self.action_keys[2],
-            Id::PtpEnable => u32::from(self.ptp),
-            Id::PtpStatus => match (self.ptp, self.habits.ptp_listens) {
-                (false, _) => PTP_STATES[0].1,
-                (true, true) => PTP_STATES[1].1,
-                (true, false) => PTP_STATES[2].1,
-            },
-            Id::Heartbeat => self.heartbeat_ms,
-            Id::TickFrequencyHigh => (self.habits.frequency().unwrap_or(0) >> 32) as u32,
-            Id::TickFrequencyLow => (self.habits.frequency().unwrap_or(0) & 0xffff_ffff) as u32,
-            Id::TimestampHigh => (self.habits.ticks(self.latched) >> 32) as u32,
-            Id::TimestampLow => (self.habits.ticks(self.latched) & 0xffff_ffff) as u32,
-            Id::NanosecondsHigh => (self.latched >> 32) as u32,
-            Id::NanosecondsLow => (self.latched & 0xffff_ffff) as u32,
-            Id::GvspConfiguration if self.ids == IdMode::Extended => EXTENDED_IDS_BIT,
-            Id::Privilege => self.privilege,
-            Id::ControllerPort => self.controller.map_or(0, |c| u32::from(c.port())),
-            Id::ControllerAddress => self.controller.map_or(0, |c| c.ip().to_bits()),
-            Id::HostPort => u32::from(self.host_port),
-            Id::PacketSize => u32::from(self.do_not_fragment) << 30 | u32::from(self.packet_size),
-            Id::PacketDelay => self.packet_delay,
-            Id::Destination => self.destination.to_bits(),
-            Id::SourcePort => u32::from(self.source_port),
-            Id::SensorWidth => self.sensor.0,
-            Id::SensorHeight => self.sensor.1,
-            Id::Width => settings.width,
-            Id::Height => settings.height,
-            Id::PixelFormat => settings.pixel_format,
-            Id::PayloadSize => {
-                u32::try_from(self.form().payload(settings.width, settings.height)).unwrap_or(u32::MAX)
-            }
-            Id::AcquisitionMode => settings.mode as u32,
-            Id::FrameCount => settings.frame_count,
-            Id::FrameRateEnable => u32::from(settings.frame_rate_enabled),
-            Id::ExposureMode => settings.exposure_mode as u32,
-            Id::TriggerSelector => settings.selected_trigger,
-            Id::TriggerMode => u32::from(settings.is_trigger_on()),
-            Id::TriggerSource => settings.source as u32,
-            Id::TriggersIgnored => self.triggers_ignored,
-            _ => 0,
         }
     }
 }

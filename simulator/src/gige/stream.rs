@@ -113,6 +113,8 @@ pub struct Streamer {
     pub rogue: Option<Rogue>,
     /// Why nothing is sent at the moment.
     pub absence: Option<Absence>,
+    /// From this trigger on its registers hold sense again.
+    pub sense_from: Option<i64>,
     /// Block id and light of the last frame of all acquisitions.
     pub last_sent: Option<(u64, i64)>,
 }
@@ -253,6 +255,9 @@ impl Streamer {
         if let Some(absence) = &mut self.absence {
             absence.follow(&edge);
         }
+        if self.sense_from.take_if(|from| edge.instant >= *from).is_some() {
+            self.presence.talk_nonsense(false);
+        }
         let hears = |a: &Acquisition| match source {
             TriggerSource::Action0 => a.stream.settings.hears_actions(),
             _ => a.stream.settings.hears_edges(),
@@ -281,6 +286,11 @@ impl Streamer {
             Some(Kind::TriggerIgnored) => return,
             // Between two triggers: the frame of this one is the first of the new time.
             Some(Kind::ClockReset) => self.clock.reset(edge.time - RESET_LEAD),
+            Some(Kind::Nonsense) => {
+                let count = fault.map_or(0, |fault| i64::try_from(fault.count).unwrap_or(i64::MAX));
+                self.sense_from = Some(edge.instant.saturating_add(count));
+                self.presence.talk_nonsense(true);
+            }
             _ => {}
         }
         if let Some(fault) = fault.filter(|fault| fault.kind.is_absence()) {

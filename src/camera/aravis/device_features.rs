@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Features and registers of a camera that Aravis has opened.
 
-use super::{AravisCamera, holder, said};
+use super::{AravisCamera, checked, holder, said};
 use crate::camera::CameraError;
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
 use crate::camera::features::{Failed, Features};
@@ -43,7 +43,7 @@ impl AravisCamera {
     }
 
     /// What it means that something could not be set: a feature may be locked, which is no loss of control.
-    fn not_set(&self, error: &glib::Error) -> Failed {
+    pub(super) fn not_set(&self, error: &glib::Error) -> Failed {
         let detail = said(error);
         if is_silence(error) {
             return Failed::Lost(CameraError::Link { doing: "setting its features", detail });
@@ -53,6 +53,18 @@ impl AravisCamera {
             return Failed::Lost(CameraError::NotOurs { holder: None, detail });
         }
         Failed::Refused(detail)
+    }
+
+    /// The text of a feature. Inner error: what an enumeration's register holds that none of its entries has.
+    fn entry(&self, feature: &str) -> Result<Result<String, String>, Failed> {
+        let text = checked::string(&self.device, feature).map_err(|error| self.failed(&error))?;
+        let Some(text) = text else {
+            let node = self.node(feature).and_then(|node| node.downcast::<aravis::GcEnumeration>().ok());
+            let value = node.and_then(|node| node.int_value().ok());
+            let value = value.map_or_else(|| "a value".to_owned(), |value| value.to_string());
+            return Ok(Err(format!("{value}, which none of its entries has")));
+        };
+        Ok(Ok(text))
     }
 
     fn node(&self, feature: &str) -> Option<aravis::GcFeatureNode> {
@@ -78,17 +90,11 @@ fn kind_of(node: &aravis::GcFeatureNode) -> Kind {
     }
 }
 
-fn unit_of(node: &aravis::GcFeatureNode) -> Option<String> {
-    let float = node.dynamic_cast_ref::<aravis::GcFloat>().and_then(|node| node.unit());
-    let whole = || node.dynamic_cast_ref::<aravis::GcInteger>().and_then(|node| node.unit());
-    float.or_else(whole).map(|unit| unit.to_string()).filter(|unit| !unit.is_empty())
-}
-
 /// The entries that the camera has at all; which of them it has now is another question.
 fn entries_of(node: &aravis::GcFeatureNode) -> Vec<String> {
     let Some(node) = node.downcast_ref::<aravis::GcEnumeration>() else { return Vec::new() };
     let there = node.entries().into_iter().filter(|entry| entry.is_implemented().unwrap_or(true));
-    there.filter_map(|entry| Some(entry.name()?.to_string())).collect()
+    there.filter_map(|entry| checked::name_of(&entry)).collect()
 }
 
 impl Description for AravisCamera {
@@ -101,8 +107,7 @@ impl Description for AravisCamera {
         ) {
             let Some(node) = device.feature(category) else { return };
             let Ok(node) = node.downcast::<aravis::GcCategory>() else { return };
-            for name in node.features() {
-                let name = name.to_string();
+            for name in checked::features_of(&node) {
                 if names.len() >= FEATURES_MAX || !seen.insert(name.clone()) {
                     continue;
                 }
@@ -130,7 +135,7 @@ impl Description for AravisCamera {
                 aravis::GcAccessMode::Wo => Access::Write,
                 _ => Access::ReadWrite,
             },
-            unit: unit_of(&node),
+            unit: checked::unit_of(&node).filter(|unit| !unit.is_empty()),
             // They depend on how the camera is set: asked when something is written.
             bounds: Bounds::default(),
             entries: entries_of(&node),
@@ -155,8 +160,13 @@ impl Features for AravisCamera {
             Kind::Boolean => device.boolean_feature_value(feature).map(FeatureValue::Flag),
             Kind::Integer => device.integer_feature_value(feature).map(FeatureValue::Integer),
             Kind::Float => device.float_feature_value(feature).map(FeatureValue::Float),
-            Kind::Enumeration | Kind::Text => {
-                device.string_feature_value(feature).map(|text| FeatureValue::Text(text.to_string()))
+            Kind::Enumeration => {
+                return self
+                    .entry(feature)
+                    .map(|entry| FeatureValue::Text(entry.unwrap_or_else(|none| none)));
+            }
+            Kind::Text => {
+                checked::string(device, feature).map(|text| FeatureValue::Text(text.unwrap_or_default()))
             }
             Kind::Command | Kind::Other => return Err(Failed::Refused("it has no value".to_owned())),
         };
@@ -195,7 +205,7 @@ impl Features for AravisCamera {
         let Some(node) = self.node(feature) else { return Bounds::default() };
         match kind_of(&node) {
             Kind::Float => {
-                let limits = self.device.float_feature_bounds(feature).ok();
+                let limits = checked::float_bounds(&self.device, feature).ok();
                 let finite = |limit: f64| (limit.abs() < UNBOUNDED).then_some(limit);
                 let step = self.device.float_feature_increment(feature).ok().filter(|step| *step > NO_STEP);
                 Bounds {
@@ -205,7 +215,7 @@ impl Features for AravisCamera {
                 }
             }
             Kind::Integer => {
-                let limits = self.device.integer_feature_bounds(feature).ok();
+                let limits = checked::integer_bounds(&self.device, feature).ok();
                 let stated = |limit: i64| (limit != i64::MIN && limit != i64::MAX).then_some(limit as f64);
                 let step = self.device.integer_feature_increment(feature).ok().map(|step| step as f64);
                 Bounds {
@@ -223,7 +233,7 @@ impl Features for AravisCamera {
     }
 
     fn text(&self, feature: &str) -> Result<String, Failed> {
-        self.device.string_feature_value(feature).map(|text| text.to_string()).map_err(|e| self.failed(&e))
+        self.entry(feature)?.map_err(Failed::Nonsense)
     }
 
     fn set_text(&self, feature: &str, value: &str) -> Result<(), Failed> {
@@ -240,7 +250,7 @@ impl Features for AravisCamera {
         let (mut register, mut started) = (None, None);
         let mut child = node.first_child();
         while let Some(property) = child {
-            let name = property.node_name().map(|name| name.to_string()).unwrap_or_default();
+            let name = checked::tag_of(&property).unwrap_or_default();
             if let Some(property) = property.downcast_ref::<aravis::GcPropertyNode>() {
                 match name.as_str() {
                     "pValue" => register = property.linked_node(),
@@ -256,10 +266,10 @@ impl Features for AravisCamera {
     }
 
     fn entries(&self, feature: &str) -> Vec<String> {
-        let entries = self.has(feature).then(|| {
-            self.device.dup_available_enumeration_feature_values_as_strings(feature).unwrap_or_default()
-        });
-        entries.into_iter().flatten().map(|entry| entry.to_string()).collect()
+        match self.has(feature) {
+            true => checked::entries_now(&self.device, feature).unwrap_or_default(),
+            false => Vec::new(),
+        }
     }
 
     fn has_registers(&self) -> bool {
@@ -267,7 +277,7 @@ impl Features for AravisCamera {
     }
 
     fn register(&self, address: u64) -> Result<u32, Failed> {
-        self.device.read_register(address).map(|(_, value)| value).map_err(|e| self.failed(&e))
+        checked::register(&self.device, address).map_err(|e| self.failed(&e))
     }
 
     fn set_register(&self, address: u64, value: u32) -> Result<(), Failed> {

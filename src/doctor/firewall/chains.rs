@@ -166,6 +166,16 @@ impl Chains {
         fate
     }
 
+    /// The chain of the input behind which the packet is dropped: a rule at its head lets the packet pass.
+    pub fn dropping(&self, packet: &Packet<'_>) -> Option<&str> {
+        let drops = |(name, chain): &(&String, &Chain)| match self.chain(name, packet, 0) {
+            End::Decided(fate) => matches!(fate, Fate::Dropped(_)),
+            End::Through => chain.drops,
+        };
+        let mut input = self.0.iter().filter(|(_, chain)| chain.is_input);
+        input.find(drops).map(|(name, _)| name.as_str())
+    }
+
     fn chain(&self, name: &str, packet: &Packet<'_>, depth: usize) -> End {
         let unknown = || End::Decided(Fate::Unknown(format!("chain {name}")));
         let Some(chain) = self.0.get(name).filter(|_| depth < DEPTH) else { return unknown() };

@@ -80,16 +80,14 @@ pub fn judge(
     let by_packet_socket = packet_socket && load.socket == SocketMode::Auto;
     let judge = |(interface, addresses): &(String, Vec<Ipv4Addr>)| {
         let check = Check::host(format!("firewall on {interface}"));
-        let fates: Vec<Fate> =
-            addresses.iter().map(|from| chains.follow(&Packet { interface, from: *from })).collect();
+        let packets = || addresses.iter().map(|from| Packet { interface, from: *from });
+        let fates: Vec<Fate> = packets().map(|packet| chains.follow(&packet)).collect();
         let dropped = fates.iter().find_map(|fate| match fate {
             Fate::Dropped(by) => Some(by),
             _ => None,
         });
-        let advice = format!(
-            "`nft insert rule inet filter input iifname {interface} udp sport 1-65535 accept`, or as your \
-                              firewall has it"
-        );
+        let chain = packets().find_map(|packet| chains.dropping(&packet));
+        let advice = chain.map_or_else(String::new, |chain| letting_pass(chain, interface));
         match dropped {
             Some(by) if by_packet_socket => check.warning(
                 format!("drops packets of cameras ({by}); the packet socket hears them before that, discovery does not"),
@@ -109,9 +107,23 @@ pub fn judge(
     cameras.iter().map(judge).collect()
 }
 
+/// The rule at the head of a chain that lets the packets of cameras pass.
+fn letting_pass(chain: &str, interface: &str) -> String {
+    // By nft a chain has its family and table before it, by iptables-save its name alone.
+    let rule = match chain.split(' ').next() {
+        // A chain of a device alone sees no other interface.
+        Some("netdev") => format!("nft insert rule {chain} udp sport 1-65535 accept"),
+        Some(family) if family != chain => {
+            format!("nft insert rule {chain} iifname {interface} udp sport 1-65535 accept")
+        }
+        _ => format!("iptables -I {chain} -i {interface} -p udp -j ACCEPT"),
+    };
+    format!("`{rule}`, and the same where your firewall keeps its rules")
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Rules, judge, nft};
+    use super::{Rules, iptables, judge, nft};
     use crate::doctor::Grade;
     use crate::doctor::load::Load;
 
@@ -123,6 +135,24 @@ mod tests {
         let grade =
             |rules: &Rules, packet_socket| judge(rules, &cameras, &Load::reference(), packet_socket)[0].grade;
         assert_eq!((grade(&rules, true), grade(&rules, false)), (Grade::Warning, Grade::Failed));
+        // What is advised names what is there.
+        let advice = |rules: &Rules| judge(rules, &cameras, &Load::reference(), false)[0].advice.clone();
+        assert!(
+            advice(&rules).starts_with("`nft insert rule inet f in iifname cam0 udp"),
+            "{}",
+            advice(&rules)
+        );
+        let text =
+            "*filter\n:INPUT ACCEPT [0:0]\n:own - [0:0]\n-A INPUT -j own\n-A own -p udp -j DROP\nCOMMIT\n";
+        let rules = Rules::Read(iptables::read(text).expect("rules"));
+        assert!(
+            advice(&rules).starts_with("`iptables -I INPUT -i cam0 -p udp -j ACCEPT`"),
+            "{}",
+            advice(&rules)
+        );
+        let text = r#"{"nftables":[{"chain":{"family":"netdev","table":"t","name":"c","hook":"ingress","dev":"cam0","prio":0,"policy":"drop"}}]}"#;
+        let rules = Rules::Read(nft::read(text).expect("JSON"));
+        assert!(advice(&rules).starts_with("`nft insert rule netdev t c udp sport"), "{}", advice(&rules));
         let empty = Rules::Read(nft::read(r#"{"nftables":[]}"#).expect("JSON"));
         assert_eq!(grade(&empty, false), Grade::Ok);
         for rules in [Rules::NoTool, Rules::Refused("nft: Operation not permitted".to_owned())] {

@@ -1,0 +1,206 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Calls of Aravis whose bindings take what a camera says on trust, each checked.
+//!
+//! The bindings end the process where Aravis gives nothing without an error (an enumeration whose register holds a value
+//! that none of its entries has), and where a text is no UTF-8. They take numbers as written that Aravis may have left
+//! unwritten. What comes from a camera or its description is asked for here: absent is `None`, and a text is made one.
+
+use glib::ffi::{GError, GSList};
+use glib::prelude::{Cast, IsA};
+use glib::translate::{ToGlibPtr, from_glib_full};
+use std::ffi::{CStr, CString, c_char, c_void};
+use std::ptr::null_mut;
+
+/// Makes a call that may set an error.
+fn asked<T>(call: impl FnOnce(*mut *mut GError) -> T) -> Result<T, glib::Error> {
+    let mut error = null_mut();
+    let value = call(&raw mut error);
+    match error.is_null() {
+        true => Ok(value),
+        // SAFETY: set by Aravis, and ours then.
+        false => Err(unsafe { from_glib_full(error) }),
+    }
+}
+
+/// A name for Aravis. None of ours has a zero in it; one that has ends there, as it would in C.
+fn named(name: &str) -> CString {
+    let name = name.split('\0').next().unwrap_or_default();
+    CString::new(name).unwrap_or_default()
+}
+
+/// A copy of Aravis' text, with a mark for each byte that is no UTF-8; `None` for none.
+///
+/// # Safety
+/// The pointer is null, or of a text that ends with a zero and that nobody changes during the call.
+pub(super) unsafe fn text(pointer: *const c_char) -> Option<String> {
+    if pointer.is_null() {
+        return None;
+    }
+    // SAFETY: not null, and what the caller promises.
+    Some(unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned())
+}
+
+/// Opens the camera at this address.
+pub(super) fn open(address: &str) -> Result<aravis::Camera, glib::Error> {
+    let address = named(address);
+    // SAFETY: the text lives during the call, and `error` is null, as GLib asks.
+    let camera = asked(|error| unsafe { aravis_sys::arv_camera_new(address.as_ptr(), error) })?;
+    if camera.is_null() {
+        return Err(glib::Error::new(aravis::DeviceError::NotFound, "Aravis gave no camera"));
+    }
+    // SAFETY: a new reference, which is ours.
+    Ok(unsafe { from_glib_full(camera) })
+}
+
+/// Vendor, model and serial number, as far as it says them.
+pub(super) fn identity(camera: &aravis::Camera) -> [String; 3] {
+    type Ask = unsafe extern "C" fn(*mut aravis_sys::ArvCamera, *mut *mut GError) -> *const c_char;
+    let asks: [Ask; 3] = [
+        aravis_sys::arv_camera_get_vendor_name,
+        aravis_sys::arv_camera_get_model_name,
+        aravis_sys::arv_camera_get_device_serial_number,
+    ];
+    asks.map(|ask| {
+        // SAFETY: the camera lives during the call; the text belongs to it, and is copied at once.
+        let told = asked(|error| unsafe { text(ask(camera.to_glib_none().0, error)) });
+        told.ok().flatten().unwrap_or_default()
+    })
+}
+
+/// A text, or the entry that an enumeration stands at; `None` where its register holds the value of no entry.
+pub(super) fn string(device: &aravis::Device, feature: &str) -> Result<Option<String>, glib::Error> {
+    let feature = named(feature);
+    // SAFETY: device and name live during the call; the text belongs to the device, and is copied at once.
+    asked(|error| unsafe {
+        text(aravis_sys::arv_device_get_string_feature_value(
+            device.to_glib_none().0,
+            feature.as_ptr(),
+            error,
+        ))
+    })
+}
+
+/// The least and the largest value of a whole number.
+pub(super) fn integer_bounds(device: &aravis::Device, feature: &str) -> Result<(i64, i64), glib::Error> {
+    let feature = named(feature);
+    let (mut min, mut max) = (i64::MIN, i64::MAX);
+    // SAFETY: device, name and both places live during the call.
+    asked(|error| unsafe {
+        aravis_sys::arv_device_get_integer_feature_bounds(
+            device.to_glib_none().0,
+            feature.as_ptr(),
+            &raw mut min,
+            &raw mut max,
+            error,
+        );
+    })?;
+    Ok((min, max))
+}
+
+/// The least and the largest value of a number.
+pub(super) fn float_bounds(device: &aravis::Device, feature: &str) -> Result<(f64, f64), glib::Error> {
+    let feature = named(feature);
+    let (mut min, mut max) = (f64::MIN, f64::MAX);
+    // SAFETY: device, name and both places live during the call.
+    asked(|error| unsafe {
+        aravis_sys::arv_device_get_float_feature_bounds(
+            device.to_glib_none().0,
+            feature.as_ptr(),
+            &raw mut min,
+            &raw mut max,
+            error,
+        );
+    })?;
+    Ok((min, max))
+}
+
+/// Reads a bootstrap register.
+pub(super) fn register(device: &impl IsA<aravis::Device>, address: u64) -> Result<u32, glib::Error> {
+    let device = device.upcast_ref::<aravis::Device>();
+    let mut value = 0;
+    // SAFETY: the device and the place live during the call.
+    let done = asked(|error| unsafe {
+        aravis_sys::arv_device_read_register(device.to_glib_none().0, address, &raw mut value, error)
+    })?;
+    match done {
+        0 => Err(glib::Error::new(aravis::DeviceError::TransferError, "a register could not be read")),
+        _ => Ok(value),
+    }
+}
+
+/// The entries of an enumeration that can be chosen now.
+pub(super) fn entries_now(device: &aravis::Device, feature: &str) -> Result<Vec<String>, glib::Error> {
+    let feature = named(feature);
+    let mut count = 0;
+    // SAFETY: device, name and place live during the call.
+    let list = asked(|error| unsafe {
+        aravis_sys::arv_device_dup_available_enumeration_feature_values_as_strings(
+            device.to_glib_none().0,
+            feature.as_ptr(),
+            &raw mut count,
+            error,
+        )
+    })?;
+    if list.is_null() {
+        return Ok(Vec::new());
+    }
+    let count = usize::try_from(count).unwrap_or(0);
+    // SAFETY: Aravis has made a list of so many texts, which belong to the description.
+    let names = (0..count).filter_map(|place| unsafe { text(*list.add(place)) }).collect();
+    // SAFETY: the list is ours, not its texts, and it is freed once.
+    unsafe { glib::ffi::g_free(list.cast::<c_void>()) };
+    Ok(names)
+}
+
+/// What a node of the description is called.
+pub(super) fn name_of(node: &impl IsA<aravis::GcFeatureNode>) -> Option<String> {
+    let node = node.upcast_ref::<aravis::GcFeatureNode>();
+    // SAFETY: the node lives during the call; the text belongs to it, and is copied at once.
+    unsafe { text(aravis_sys::arv_gc_feature_node_get_name(node.to_glib_none().0)) }
+}
+
+/// What kind of element of the description a node is.
+pub(super) fn tag_of(node: &aravis::DomNode) -> Option<String> {
+    // SAFETY: the node lives during the call; the text belongs to its class, and is copied at once.
+    unsafe { text(aravis_sys::arv_dom_node_get_node_name(node.to_glib_none().0)) }
+}
+
+/// In what a number counts.
+pub(super) fn unit_of(node: &aravis::GcFeatureNode) -> Option<String> {
+    if let Some(float) = node.dynamic_cast_ref::<aravis::GcFloat>() {
+        // SAFETY: the node lives during the call; the text belongs to it, and is copied at once.
+        return unsafe { text(aravis_sys::arv_gc_float_get_unit(float.to_glib_none().0)) };
+    }
+    let whole = node.dynamic_cast_ref::<aravis::GcInteger>()?;
+    // SAFETY: as above.
+    unsafe { text(aravis_sys::arv_gc_integer_get_unit(whole.to_glib_none().0)) }
+}
+
+/// The features that a category of the description names, and that are there.
+pub(super) fn features_of(category: &aravis::GcCategory) -> Vec<String> {
+    let mut names = Vec::new();
+    // SAFETY: the category lives during the call; the list belongs to it.
+    let mut item: *const GSList =
+        unsafe { aravis_sys::arv_gc_category_get_features(category.to_glib_none().0) };
+    while !item.is_null() {
+        // SAFETY: an item of the list, which nobody changes before the category is asked again.
+        let (data, next) = unsafe { ((*item).data, (*item).next) };
+        // SAFETY: the list holds texts.
+        names.extend(unsafe { text(data.cast::<c_char>()) });
+        item = next;
+    }
+    names
+}
+
+/// Place and size of an image, and its padding: zeros where the buffer holds none.
+pub(super) fn image_of(buffer: &aravis::Buffer) -> ([i32; 4], (i32, i32)) {
+    let (mut region, mut padding) = ([0; 4], (0, 0));
+    let [x, y, width, height] = &mut region;
+    let buffer = buffer.to_glib_none();
+    // SAFETY: buffer and places live during the calls.
+    unsafe {
+        aravis_sys::arv_buffer_get_image_region(buffer.0, x, y, width, height);
+        aravis_sys::arv_buffer_get_image_padding(buffer.0, &raw mut padding.0, &raw mut padding.1);
+    }
+    (region, padding)
+}

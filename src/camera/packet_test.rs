@@ -1,0 +1,187 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Which packets arrive: the search for the largest, whatever sends them.
+//!
+//! Aravis' own search gives a packet 10 ms, and receives into memory of the description's largest packet what is as large as
+//! the camera's register says: a camera that takes more than it says ends the process (0.8.26). So the search is here, and
+//! what is received goes into memory that holds any datagram.
+
+use super::{CameraError, PacketTest};
+use std::time::Duration;
+
+/// The first packets may take so long: some cameras send them from a slow loop.
+pub const PATIENCE: Duration = Duration::from_millis(400);
+/// Once one has come, the others get three times as long as it, and this at least.
+const PATIENCE_LEAST: Duration = Duration::from_millis(60);
+/// What every network carries, and what every camera can send: where to begin when the largest does not arrive.
+const FLOORS: [u32; 2] = [1500, 576];
+/// No smaller one is asked for.
+const LEAST: u32 = 64;
+/// Halving 64 KiB takes 16; those that come late cost some more.
+const STEPS: usize = 24;
+/// A UDP packet has no more, its IP header counted in.
+pub const LARGEST: u32 = 65_535;
+/// Packets may be so much shorter than asked: some round down (aravis#687).
+pub const ROUNDED: u32 = 16;
+
+/// The sizes that a camera takes, by its own description.
+#[derive(Debug, Clone, Copy)]
+pub struct Sizes {
+    /// The least.
+    pub min: u32,
+    /// The largest.
+    pub max: u32,
+    /// From one to the next.
+    pub step: u32,
+}
+
+/// One size that was tried.
+#[derive(Debug, Clone, Copy)]
+pub struct Tried {
+    /// What the camera made of it; `None` where it refuses.
+    pub size: Option<u32>,
+    /// The largest packet that came meanwhile, of this size or late of another.
+    pub arrived: Option<u32>,
+    /// When that came.
+    pub took: Duration,
+}
+
+/// Looks for the largest packet that arrives, `asked` at most; `None` where none does. `attempt` has the camera send packets of
+/// one size, and waits so long for each.
+///
+/// # Errors
+/// The camera is lost.
+pub fn largest(
+    asked: u32,
+    sizes: Sizes,
+    mut attempt: impl FnMut(u32, Duration) -> Result<Tried, CameraError>,
+) -> Result<Option<PacketTest>, CameraError> {
+    let step = sizes.step.clamp(1, 1024);
+    let on_step = |size: u32| size - size.saturating_sub(sizes.min) % step;
+    let most = asked.min(LARGEST).min(sizes.max.max(sizes.min));
+    let first = attempt(on_step(most), PATIENCE)?;
+    // One that makes less of it than asked says that it sends no more.
+    let made = first.size.unwrap_or(most).min(most);
+    let camera_takes = (made < asked).then_some(made);
+    let done = |arrived| Ok(Some(PacketTest { arrived, camera_takes }));
+    if let Some(arrived) = first.arrived.filter(|arrived| arrived + ROUNDED >= made) {
+        return done(arrived.min(made));
+    }
+    let (mut best, mut took) = (first.arrived, first.took);
+    let is_floor = |floor: &u32| *floor >= LEAST && (sizes.min..made).contains(floor);
+    for floor in FLOORS.into_iter().chain([sizes.min]).filter(is_floor) {
+        if best.is_some() {
+            break;
+        }
+        let tried = attempt(floor, PATIENCE)?;
+        (best, took) = (tried.arrived, tried.took);
+    }
+    let Some(mut best) = best else { return Ok(None) };
+    let patience = (took * 3).clamp(PATIENCE_LEAST, PATIENCE);
+    let (mut beyond, mut refused) = (made, first.size.is_none());
+    for _ in 0..STEPS {
+        if beyond.saturating_sub(best) <= step {
+            break;
+        }
+        let middle = on_step(best + (beyond - best) / 2).max(best + 1);
+        let tried = attempt(middle, patience)?;
+        match tried.arrived {
+            Some(arrived) if arrived > best => best = arrived,
+            _ => (beyond, refused) = (middle, tried.size.is_none()),
+        }
+        if best >= beyond {
+            // A large one came late: what was taken for too large is not.
+            beyond = made.max(best);
+        }
+    }
+    // What the camera refuses never was on its way.
+    let camera_takes = if refused { Some(best) } else { camera_takes };
+    Ok(Some(PacketTest { arrived: best.min(made), camera_takes }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{PacketTest, Sizes, Tried, largest};
+    use std::time::Duration;
+
+    const ANY: Sizes = Sizes { min: 220, max: 16_260, step: 4 };
+    const SOON: Duration = Duration::from_millis(1);
+
+    /// A way that carries packets up to a size.
+    fn carries(mtu: u32, asked: u32, sizes: Sizes) -> (Option<PacketTest>, Vec<u32>) {
+        let mut tried = Vec::new();
+        let found = largest(asked, sizes, |size, _| {
+            tried.push(size);
+            Ok(Tried { size: Some(size), arrived: (size <= mtu).then_some(size), took: SOON })
+        });
+        (found.expect("it answers"), tried)
+    }
+
+    #[test]
+    fn the_largest_that_arrives_is_found() {
+        let whole = Some(PacketTest { arrived: 9000, camera_takes: None });
+        assert_eq!(carries(9000, 9000, ANY), (whole, vec![9000]), "at once");
+        for mtu in [576, 1500, 1502, 4000, 8999] {
+            let (found, tried) = carries(mtu, 9000, ANY);
+            let found = found.expect("some arrive");
+            assert!((mtu.saturating_sub(4)..=mtu).contains(&found.arrived), "{mtu}: {found:?}");
+            assert_eq!(found.camera_takes, None, "it is the way that carries no more");
+            assert!(tried.len() < 30, "{tried:?}");
+        }
+        assert_eq!(carries(100, 9000, ANY).0, None, "none at all");
+    }
+
+    #[test]
+    fn a_camera_is_asked_for_no_more_than_it_takes() {
+        let small = Sizes { min: 220, max: 1444, step: 4 };
+        let (found, tried) = carries(65_535, 9000, small);
+        assert_eq!(found, Some(PacketTest { arrived: 1444, camera_takes: Some(1444) }));
+        assert!(tried.iter().all(|size| *size <= 1444), "{tried:?}");
+        // A description without sense: the least is above the largest, and steps have no length.
+        for sizes in [
+            Sizes { min: 9000, max: 0, step: 0 },
+            Sizes { min: 0, max: u32::MAX, step: u32::MAX },
+            Sizes { min: u32::MAX, max: u32::MAX, step: 7 },
+        ] {
+            for mtu in [0, 1500, 65_535] {
+                let (_, tried) = carries(mtu, u32::MAX, sizes);
+                assert!(tried.iter().all(|size| *size <= 65_535) && tried.len() < 30, "{sizes:?}: {tried:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_that_makes_less_of_it_or_refuses_says_what_it_takes() {
+        let clamps = |size: u32, _| {
+            let size = size.min(8000);
+            Ok(Tried { size: Some(size), arrived: Some(size), took: SOON })
+        };
+        let expected = Some(PacketTest { arrived: 8000, camera_takes: Some(8000) });
+        assert_eq!(largest(9000, ANY, clamps).expect("it answers"), expected);
+        let refuses = |size: u32, _| {
+            let size = Some(size).filter(|size| *size <= 8000);
+            Ok(Tried { size, arrived: size, took: SOON })
+        };
+        let found = largest(9000, ANY, refuses).expect("it answers").expect("some arrive");
+        assert!((7996..=8000).contains(&found.arrived), "{found:?}");
+        assert_eq!(found.camera_takes, Some(found.arrived), "the way was never asked");
+    }
+
+    #[test]
+    fn packets_that_come_late_count_and_set_how_long_is_waited() {
+        // Each comes when the next is asked for already.
+        let mut on_its_way = None;
+        let found = largest(9000, ANY, |size, _| {
+            let arrived = on_its_way.replace(size);
+            Ok(Tried { size: Some(size), arrived, took: Duration::from_millis(100) })
+        });
+        assert_eq!(found.expect("it answers").map(|found| found.arrived), Some(9000));
+        let mut patience = Vec::new();
+        let slow = largest(9000, ANY, |size, waits| {
+            patience.push(waits);
+            let arrived = (size <= 1500).then_some(size);
+            Ok(Tried { size: Some(size), arrived, took: Duration::from_millis(100) })
+        });
+        assert_eq!(slow.expect("it answers").map(|found| found.arrived), Some(1500));
+        assert_eq!(patience.last(), Some(&Duration::from_millis(300)));
+    }
+}
