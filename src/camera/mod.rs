@@ -14,6 +14,8 @@ pub mod description;
 mod device_clock;
 #[cfg(feature = "aravis")]
 mod features;
+#[cfg(feature = "aravis")]
+mod packet_size;
 pub mod profile;
 mod quiet;
 #[cfg(feature = "aravis")]
@@ -22,6 +24,8 @@ mod settings;
 #[cfg(feature = "aravis")]
 mod source_filter;
 mod state;
+#[cfg(feature = "aravis")]
+mod triggers;
 #[cfg(feature = "aravis")]
 mod verify;
 #[cfg(feature = "aravis")]
