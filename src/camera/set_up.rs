@@ -52,7 +52,7 @@ pub fn set_up(camera: &dyn Features, wishes: &Wishes) -> Result<SetUp, CameraErr
         work.mend(must, false)?;
     }
     // Asked before what was set is read for the last time: to look at a trigger one must select it, which may change others.
-    let triggers = triggers_on(camera)?;
+    let triggers = if wishes.triggered { triggers_on(camera)? } else { TriggersOn::default() };
     work.hold(&plan)?;
     work.still_as_set()?;
     work.finish(&plan, &musts, &triggers)
@@ -116,9 +116,14 @@ impl Work<'_> {
 
     /// Sets again what was lost when other triggers were selected.
     fn hold(&mut self, plan: &Plan) -> Result<(), CameraError> {
+        let raw = &self.wishes.raw;
         let last = plan.writes.iter().rposition(|write| write.feature == "TriggerSelector");
-        for write in plan.writes.iter().skip(last.map_or(0, |last| last + 1)).filter(|write| !write.optional)
-        {
+        let of_trigger = last.map_or(&[][..], |last| &plan.writes[last + 1..]);
+        for write in of_trigger.iter().filter(|write| !write.optional) {
+            // What a raw setting has changed since is its own.
+            if raw.iter().any(|setting| setting.feature == write.feature) {
+                continue;
+            }
             let Some(set) = self.set.get(&write.feature).cloned() else { continue };
             if matches!(&write.amount, Amount::Value(_))
                 && let Some(found) = answered(self.camera.read(&write.feature))?
@@ -129,7 +134,6 @@ impl Work<'_> {
             }
         }
         // The same for raw settings, unless they select triggers themselves.
-        let raw = &self.wishes.raw;
         if raw.iter().any(|setting| setting.feature == "TriggerSelector") {
             return Ok(());
         }

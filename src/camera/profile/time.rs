@@ -89,7 +89,7 @@ fn exposure_write(camera: &dyn Description, wishes: &Wishes) -> Result<Write, Tr
         None => Err(Trouble::new(
             RAW,
             format!(
-                "the camera counts its exposure in ticks ({RAW}), and none of its features says how long one is (looked \
+                "the camera counts its exposure in ticks ({RAW}), expected a feature that says how long one is (looked \
                  for {}): set [\"{RAW}\", TICKS] in `settings`, and say left_to_settings = [\"{WORD}\"]",
                 TICKS.join(", ")
             ),

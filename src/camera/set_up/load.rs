@@ -46,12 +46,13 @@ pub fn known_state(
         Some(_) => matters(camera, wishes)?,
         None => State::new(),
     };
+    let status_tells = !says_in_progress(camera)?;
     match camera.write(command, &FeatureValue::Flag(true)) {
         Ok(()) => {}
         Err(Failed::Lost(error)) => return Err(error),
         Err(Failed::Refused(why)) => return Ok(vec![kept(&why)]),
     }
-    let load = Load { camera, command, begun: Instant::now() };
+    let load = Load { camera, command, status_tells, begun: Instant::now() };
     if tells && load.is_told()? {
         return Ok(Vec::new());
     }
@@ -81,6 +82,8 @@ pub fn known_state(
 struct Load<'a> {
     camera: &'a dyn Features,
     command: &'static str,
+    /// Its status did not say "in progress" before anything was begun.
+    status_tells: bool,
     begun: Instant,
 }
 
@@ -103,17 +106,8 @@ impl Load<'_> {
 
     /// Whether it can be seen that it is loading.
     fn is_busy(&self) -> Result<bool, CameraError> {
-        for feature in ["UserSetLoadStatus", "PixelFormat", "Width"] {
-            if !self.camera.has(feature) {
-                continue;
-            }
-            match answered(self.camera.read(feature))? {
-                Some(FeatureValue::Text(text)) if text == "InProgress" => return Ok(true),
-                None if feature == "Width" => return Ok(true),
-                _ => {}
-            }
-        }
-        Ok(false)
+        let mute = self.camera.has("Width") && answered(self.camera.read("Width"))?.is_none();
+        Ok(mute || self.status_tells && says_in_progress(self.camera)?)
     }
 
     /// What matters, once it does not change any more; `None` where it goes on changing.
@@ -133,6 +127,13 @@ impl Load<'_> {
             last = now;
         }
     }
+}
+
+/// Whether the camera's own status says that it is loading.
+fn says_in_progress(camera: &dyn Features) -> Result<bool, CameraError> {
+    const STATUS: &str = "UserSetLoadStatus";
+    let status = if camera.has(STATUS) { answered(camera.read(STATUS))? } else { None };
+    Ok(matches!(status, Some(FeatureValue::Text(text)) if text == "InProgress"))
 }
 
 /// What a session needs to be so, as it is now.

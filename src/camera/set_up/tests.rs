@@ -381,6 +381,12 @@ fn a_load_that_never_says_done_is_settled_read_back_and_told() {
 }
 
 #[test]
+fn a_status_that_says_in_progress_before_anything_was_begun_says_nothing() {
+    let fake = with("UserSetLoadStatus=InProgress,Success!ro", &[("UserSetLoadStatus", text("InProgress"))]);
+    set_up(&fake, &wanted()).expect("set up");
+}
+
+#[test]
 fn a_camera_that_goes_on_changing_is_still_loading() {
     let mut fake = Fake::new();
     fake.habits.done = Some((Some(false), Some(false)));
