@@ -13,7 +13,8 @@
 use super::canary::Canaries;
 use super::contract::{Breach, FrameContract, FrameForm, Payload};
 use super::device_clock::{self, DeviceClock};
-use super::features::{Failed, Features as _, read_state};
+use super::features::{Failed, Features, read_state};
+use super::packet_size;
 use super::profile::trigger_lines;
 use super::set_up::{changed, set_up};
 use super::{
@@ -168,6 +169,19 @@ impl AravisCamera {
         }
     }
 
+    /// A size that the camera does not take is no loss of its link.
+    fn set_packet_size(&self, asked: u32) -> Result<(), CameraError> {
+        let bounds = self.bounds_now(packet_size::FEATURE);
+        let bytes = i32::try_from(packet_size::fitting(asked, bounds)).unwrap_or(i32::MAX);
+        self.camera.gv_set_packet_size(bytes).map_err(|error| match device_features::is_silence(&error) {
+            true => link_error("setting the packet size")(error),
+            false => {
+                let now = self.camera.gv_get_packet_size().ok().map(i64::from);
+                CameraError::SetUp { problems: vec![packet_size::refusal(asked, &said(&error), bounds, now)] }
+            }
+        })
+    }
+
     /// What a GigE camera says of its control privilege: 0 when nobody has it.
     fn privilege(&self) -> Option<u32> {
         const PRIVILEGE: u64 = 0x0a00;
@@ -259,10 +273,8 @@ impl Camera for AravisCamera {
     ) -> Result<Box<dyn FrameStream>, CameraError> {
         let is_gigevision = self.device.is::<aravis::GvDevice>();
         if is_gigevision {
-            let bytes = i32::try_from(options.packet_bytes).unwrap_or(i32::MAX);
-            let size_error = link_error("setting the packet size");
             self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::Never);
-            self.camera.gv_set_packet_size(bytes).map_err(size_error)?;
+            self.set_packet_size(options.packet_bytes)?;
             self.packets_have_room()?;
             let socket = match options.socket {
                 SocketMode::Auto => aravis::GvStreamOption::NONE,

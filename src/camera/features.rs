@@ -19,7 +19,7 @@ pub enum Failed {
 
 /// Features and registers of an opened camera.
 pub trait Features: Description {
-    /// Whether its description names this feature.
+    /// Whether its description names this feature, and this model has it.
     fn has(&self, feature: &str) -> bool;
 
     /// Whether it is there as the camera is set now.
@@ -48,7 +48,8 @@ pub trait Features: Description {
     /// Executes a command that is never locked.
     fn execute(&self, feature: &str) -> Result<(), Failed>;
 
-    /// Whether a command that was executed is done; `None` where the camera does not say.
+    /// Whether a command that was executed is done: its register says something else than what started it. `None` where
+    /// that cannot be read.
     fn is_done(&self, command: &str) -> Option<bool>;
 
     /// The entries of an enumeration that the camera has now; none where it is not there.

@@ -16,6 +16,8 @@ mod device_clock;
 mod features;
 #[cfg(feature = "aravis")]
 mod packet_test;
+#[cfg(feature = "aravis")]
+mod packet_size;
 pub mod profile;
 mod quiet;
 #[cfg(feature = "aravis")]
@@ -24,6 +26,8 @@ mod settings;
 #[cfg(feature = "aravis")]
 mod source_filter;
 mod state;
+#[cfg(feature = "aravis")]
+mod triggers;
 #[cfg(feature = "aravis")]
 mod verify;
 #[cfg(feature = "aravis")]

@@ -3,21 +3,17 @@
 //! Every problem is found, not the first alone.
 
 use super::CameraError;
-use super::description::{Access, list, nearest};
+use super::description::{Access, list, nearest, plain};
 use super::features::{Failed, Features, answered, value_text};
+use super::packet_size;
 use super::profile::{self, Amount, Must, Plan, Want, Wishes, Write};
 use super::settings::{AppliedSetting, SetUp, matches};
 use super::state::{Change, State};
+use super::triggers::{TriggersOn, triggers_on};
 use super::verify::verify;
 use super::write_amount::{self, differs};
 use crate::config::{FeatureSetting, FeatureValue};
 use std::collections::BTreeMap;
-use std::time::{Duration, Instant};
-
-/// A camera takes its settings of delivery within this.
-const LOAD_PATIENCE: Duration = Duration::from_secs(5);
-/// One that does not say when it has them is given so long: what is set before that would be lost.
-const LOAD_SETTLES: Duration = Duration::from_millis(700);
 
 /// Sets a camera up.
 ///
@@ -32,7 +28,7 @@ pub fn set_up(camera: &dyn Features, wishes: &Wishes) -> Result<SetUp, CameraErr
         told: Vec::new(),
         set: BTreeMap::new(),
     };
-    work.known_state()?;
+    work.told.extend(load::known_state(camera, wishes, &mut work.problems)?);
     let frame_trigger = profile::frame_trigger(camera).ok().flatten();
     work.select_trigger(frame_trigger.as_deref())?;
     let (musts, troubles) = profile::must_be(camera, wishes);
@@ -43,16 +39,23 @@ pub fn set_up(camera: &dyn Features, wishes: &Wishes) -> Result<SetUp, CameraErr
     }
     let plan = profile::resolve(camera, wishes);
     work.problems.extend(plan.troubles.iter().map(ToString::to_string));
-    for write in &plan.writes {
-        work.write(write)?;
+    work.told.extend(plan.told.iter().cloned());
+    work.told.extend(colours(camera)?);
+    match packet_size::set(camera, wishes.link.packet_bytes)? {
+        Ok(told) => work.told.extend(told),
+        Err(problem) => work.problems.push(problem),
     }
+    work.plan(&plan)?;
     work.raw()?;
     work.select_trigger(frame_trigger.as_deref())?;
     for must in &musts {
         work.mend(must, false)?;
     }
+    // Asked before what was set is read for the last time: to look at a trigger one must select it, which may change others.
+    let triggers = if wishes.triggered { triggers_on(camera)? } else { TriggersOn::default() };
+    work.hold(&plan)?;
     work.still_as_set()?;
-    work.finish(&plan, &musts)
+    work.finish(&plan, &musts, &triggers)
 }
 
 struct Work<'a> {
@@ -71,66 +74,86 @@ fn refused(feature: &str, value: &str, why: &str) -> String {
 }
 
 impl Work<'_> {
-    /// Ends an acquisition that the last user left, and loads the settings of delivery.
-    fn known_state(&mut self) -> Result<(), CameraError> {
-        if self.camera.has("AcquisitionStop") {
-            answered(self.camera.write("AcquisitionStop", &FeatureValue::Flag(true)))?;
-        }
-        let Some((select, load)) = profile::known_state(self.camera) else { return Ok(()) };
-        let Amount::Value(value) = &select.amount else { return Ok(()) };
-        answered(self.camera.write(&select.feature, value))?;
-        match self.camera.write(load, &FeatureValue::Flag(true)) {
-            Ok(()) => self.wait_for_load(load),
-            Err(Failed::Lost(error)) => Err(error),
-            Err(Failed::Refused(why) | Failed::Nonsense(why)) => {
-                self.told.push(format!(
-                    "{load} of {value} was refused ({why}): what the last user set is kept where nothing here sets it"
-                ));
-                Ok(())
-            }
-        }
-    }
-
-    /// Some cameras refuse everything while they load.
-    fn wait_for_load(&mut self, load: &str) -> Result<(), CameraError> {
-        if self.camera.is_done(load).is_none() {
-            std::thread::sleep(LOAD_SETTLES);
-        }
-        let deadline = Instant::now() + LOAD_PATIENCE;
-        let is_done = || -> Result<bool, CameraError> {
-            if let Some(done) = self.camera.is_done(load) {
-                return Ok(done);
-            }
-            for feature in ["UserSetLoadStatus", "PixelFormat", "Width"] {
-                if !self.camera.has(feature) {
-                    continue;
-                }
-                match answered(self.camera.read(feature))? {
-                    Some(FeatureValue::Text(text)) if text == "InProgress" => return Ok(false),
-                    None if feature == "Width" => return Ok(false),
-                    _ => {}
-                }
-            }
-            Ok(true)
-        };
-        while !is_done()? {
-            if Instant::now() >= deadline {
-                self.problems.push(format!(
-                    "{load} is not done after {} s: wait until the camera has started, or restart it",
-                    LOAD_PATIENCE.as_secs()
-                ));
-                return Ok(());
-            }
-            std::thread::sleep(Duration::from_millis(20));
+    fn select_trigger(&self, entry: Option<&str>) -> Result<(), CameraError> {
+        if let Some(entry) = entry
+            && self.camera.feature("TriggerSelector").is_some_and(|selector| selector.is_writable())
+            // On some cameras to select is to set, and would undo what was set since.
+            && answered(self.camera.text("TriggerSelector"))?.as_deref() != Some(entry)
+        {
+            answered(self.camera.set_text("TriggerSelector", entry))?;
         }
         Ok(())
     }
 
-    fn select_trigger(&self, entry: Option<&str>) -> Result<(), CameraError> {
-        if let Some(entry) = entry
-            && self.camera.feature("TriggerSelector").is_some_and(|selector| selector.is_writable())
-        {
-            answered(self.camera.set_text("TriggerSelector", entry))?;
+    /// Does what the words ask for. What is not there yet may come with what is set after it, and is set then, behind the
+    /// entry that was selected for it.
+    fn plan(&mut self, plan: &Plan) -> Result<(), CameraError> {
+        let mut later = Vec::new();
+        for (place, write) in plan.writes.iter().enumerate() {
+            match self.camera.is_available(&write.feature) {
+                true => self.write(write)?,
+                false if write.optional => {}
+                false => later.push((place, write)),
+            }
+        }
+        for (place, write) in later {
+            let feature = write.feature.as_str();
+            let before = plan.writes[..place].iter().rev();
+            let selected = before.take_while(|other| other.word == write.word);
+            for select in selected.filter(|other| other.feature.ends_with("Selector")).take(1) {
+                self.write(select)?;
+            }
+            match self.camera.is_available(feature) {
+                true => self.write(write)?,
+                false => {
+                    self.problems
+                        .push(format!("{feature} is not available as the camera is set: {}", of(write)));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Sets again what was lost when other triggers were selected.
+    fn hold(&mut self, plan: &Plan) -> Result<(), CameraError> {
+        let raw = &self.wishes.raw;
+        let last = plan.writes.iter().rposition(|write| write.feature == "TriggerSelector");
+        let of_trigger = last.map_or(&[][..], |last| &plan.writes[last + 1..]);
+        for write in of_trigger.iter().filter(|write| !write.optional) {
+            // What a raw setting has changed since is its own.
+            if raw.iter().any(|setting| setting.feature == write.feature) {
+                continue;
+            }
+            let Some(set) = self.set.get(&write.feature).cloned() else { continue };
+            if matches!(&write.amount, Amount::Value(_))
+                && let Some(found) = answered(self.camera.read(&write.feature))?
+                && differs(&set, &found)
+                && let Err(problem) = write_amount::write(self.camera, write)?
+            {
+                self.problems.push(problem);
+            }
+        }
+        // The same for raw settings, unless they select triggers themselves.
+        if raw.iter().any(|setting| setting.feature == "TriggerSelector") {
+            return Ok(());
+        }
+        for (place, setting) in raw.iter().enumerate() {
+            let again = raw[place + 1..].iter().any(|later| later.feature == setting.feature);
+            if setting.feature.starts_with("Trigger")
+                && !again
+                && let Some(found) = answered(self.camera.read(&setting.feature))?
+                && !matches(setting, &found)
+            {
+                answered(self.camera.write(&setting.feature, &setting.value))?;
+                if let Some(found) = answered(self.camera.read(&setting.feature))?
+                    && !matches(setting, &found)
+                {
+                    self.problems.push(format!(
+                        "feature {}: asked for {}, the camera has {found} after all settings were made; correct `settings`",
+                        setting.feature, setting.value
+                    ));
+                }
+            }
         }
         Ok(())
     }
@@ -138,12 +161,6 @@ impl Work<'_> {
     /// Does what a word asks for, and notes what came of it.
     fn write(&mut self, write: &Write) -> Result<(), CameraError> {
         let feature = write.feature.as_str();
-        if !self.camera.is_available(feature) {
-            if !write.optional {
-                self.problems.push(format!("{feature} is not available as the camera is set: {}", of(write)));
-            }
-            return Ok(());
-        }
         let done = write_amount::write(self.camera, write)?;
         match done {
             Err(_) if write.optional => {}
@@ -337,8 +354,8 @@ impl Work<'_> {
             || trigger(&feature) && plan.troubles.iter().any(|trouble| trigger(&trouble.feature))
     }
 
-    fn finish(mut self, plan: &Plan, musts: &[Must]) -> Result<SetUp, CameraError> {
-        let contract = match verify(self.camera, self.wishes, plan.pixel_format.as_deref()) {
+    fn finish(mut self, plan: &Plan, musts: &[Must], triggers: &TriggersOn) -> Result<SetUp, CameraError> {
+        let contract = match verify(self.camera, self.wishes, plan.pixel_format.as_deref(), triggers) {
             Ok(contract) => Some(contract),
             Err(CameraError::SetUp { problems }) => {
                 // The reason why something was not set says more than that it is not so.
@@ -367,6 +384,28 @@ impl Work<'_> {
             _ => Err(CameraError::SetUp { problems: self.problems }),
         }
     }
+}
+
+/// What to say of a sensor that sees colours and sends grey.
+fn colours(camera: &dyn Features) -> Result<Option<String>, CameraError> {
+    const FILTER: &str = "PixelColorFilter";
+    let filter = match camera.has(FILTER) {
+        true => answered(camera.text(FILTER))?,
+        false => None,
+    };
+    let formats = camera.entries("PixelFormat");
+    let why = match filter {
+        Some(filter) if plain(&filter) == "none" => return Ok(None),
+        Some(filter) => format!("{FILTER} is {filter}"),
+        None => match formats.iter().find(|format| format.starts_with("Bayer")) {
+            Some(format) => format!("PixelFormat also has {format}"),
+            None => return Ok(None),
+        },
+    };
+    Ok(Some(format!(
+        "the sensor sees colours ({why}): the camera makes grey of several pixels, in which fringes of one colour are coarser and \
+         darker; expected a grey sensor"
+    )))
 }
 
 /// What asked for a write.
@@ -408,6 +447,8 @@ pub fn changed(camera: &dyn Features, watched: &State) -> Result<Vec<Change>, Ca
     }
     Ok(changed)
 }
+
+mod load;
 
 #[cfg(test)]
 mod tests;

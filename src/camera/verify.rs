@@ -3,18 +3,19 @@
 
 use super::CameraError;
 use super::contract::{FrameContract, MONO8};
-use super::description::plain;
-use super::features::{Failed, Features, answered};
+use super::features::{Failed, Features};
 use super::profile::{FRAME_TRIGGERS, Wishes, starts_a_frame};
+use super::triggers::TriggersOn;
 
 /// The contract that its frames must keep, or everything in which it differs from what is wanted, each with its remedy.
-/// `mono8` is what the camera calls Mono8.
+/// `mono8` is what the camera calls Mono8, `triggers` are those that are on.
 pub fn verify(
     camera: &dyn Features,
     wanted: &Wishes,
     mono8: Option<&str>,
+    triggers: &TriggersOn,
 ) -> Result<FrameContract, CameraError> {
-    let mut check = Check { camera, problems: Vec::new(), alone: false };
+    let mut check = Check { camera, problems: Vec::new() };
     let (width, height) = wanted.size;
     check.text(
         "PixelFormat",
@@ -33,7 +34,7 @@ pub fn verify(
         // A camera whose trigger is set up by features of its own is told by its silence before the start, and by
         // the rhythm of the warm-up.
         if camera.has("TriggerMode") || !wanted.left_to_settings("trigger_line") {
-            check.triggers()?;
+            check.one_trigger(triggers);
         }
     }
     let offset = (check.offset("OffsetX")?, check.offset("OffsetY")?);
@@ -46,8 +47,6 @@ pub fn verify(
 struct Check<'a> {
     camera: &'a dyn Features,
     problems: Vec<String>,
-    /// There is one trigger alone.
-    alone: bool,
 }
 
 impl Check<'_> {
@@ -97,55 +96,15 @@ impl Check<'_> {
         Ok(found.and_then(|offset| usize::try_from(offset).ok()).unwrap_or(0))
     }
 
-    /// Exactly one trigger must be on, and start a frame by a wire. The selector is left as it was.
-    fn triggers(&mut self) -> Result<(), CameraError> {
-        const SELECTOR: &str = "TriggerSelector";
-        let entries = self.camera.entries(SELECTOR);
-        self.alone = entries.len() < 2;
-        // A selector that can only be read says which trigger there is.
-        let fixed = self.camera.feature(SELECTOR).is_some_and(|selector| !selector.is_writable());
-        if self.alone || fixed {
-            let found = self.found("TriggerMode", self.camera.text("TriggerMode"), "On")?;
-            let selected = if fixed { answered(self.camera.text(SELECTOR))? } else { None };
-            let selected = selected.or_else(|| entries.first().cloned());
-            let selector = selected.as_deref().unwrap_or(FRAME_TRIGGERS[0]);
-            return match found.as_deref() {
-                None => Ok(()),
-                Some(mode) if is_on(mode) => self.one_trigger(&[(selector.to_owned(), self.source()?)]),
-                Some(_) => self.one_trigger(&[]),
-            };
-        }
-        let before = self.found(SELECTOR, self.camera.text(SELECTOR), "a trigger's name")?;
-        let mut on = Vec::new();
-        for entry in entries {
-            // An entry that cannot be selected, or has no mode of its own, is no trigger that could be on.
-            match self.camera.set_text(SELECTOR, &entry).and_then(|()| self.camera.text("TriggerMode")) {
-                Ok(mode) if is_on(&mode) => on.push((entry, self.source()?)),
-                Ok(_) | Err(Failed::Refused(_) | Failed::Nonsense(_)) => {}
-                Err(Failed::Lost(error)) => return Err(error),
-            }
-        }
-        if let Some(before) = before
-            && let Err(Failed::Lost(error)) = self.camera.set_text(SELECTOR, &before)
-        {
-            return Err(error);
-        }
-        self.one_trigger(&on)
-    }
-
-    fn source(&self) -> Result<Option<String>, CameraError> {
-        match self.camera.text("TriggerSource") {
-            Ok(source) => Ok(Some(source)),
-            Err(Failed::Refused(_) | Failed::Nonsense(_)) => Ok(None),
-            Err(Failed::Lost(error)) => Err(error),
-        }
-    }
-
-    fn one_trigger(&mut self, on: &[(String, Option<String>)]) -> Result<(), CameraError> {
+    /// Exactly one trigger must be on, and start a frame by a wire.
+    fn one_trigger(&mut self, triggers: &TriggersOn) {
         let remedy = "say trigger_line, and set no trigger in `settings`";
-        match on {
+        if let Some(unknown) = &triggers.unknown {
+            return self.problems.push(unknown.clone());
+        }
+        match triggers.on.as_slice() {
             [] => self.problems.push(format!("TriggerMode is Off, expected On: {remedy}")),
-            [(selector, _)] if !starts_a_frame(selector, self.alone) => self.problems.push(format!(
+            [(selector, _)] if !starts_a_frame(selector, triggers.alone) => self.problems.push(format!(
                 "TriggerMode is On for {selector}, expected for {}: {remedy}",
                 FRAME_TRIGGERS[..3].join(" or ")
             )),
@@ -161,10 +120,5 @@ impl Check<'_> {
                 ));
             }
         }
-        Ok(())
     }
-}
-
-fn is_on(mode: &str) -> bool {
-    ["on", "true", "enabled", "enable"].contains(&plain(mode).as_str())
 }

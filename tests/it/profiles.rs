@@ -68,6 +68,12 @@ pub fn tables() -> Option<PathBuf> {
     None
 }
 
+/// The tables of more cameras, with what their registers share; else those that there are.
+pub fn all_tables() -> Option<PathBuf> {
+    let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/camera-tables");
+    if dir.is_dir() { Some(dir) } else { tables() }
+}
+
 /// What the shipped node file says, with this trigger line.
 pub fn wishes(line: &str) -> Wishes {
     Wishes {

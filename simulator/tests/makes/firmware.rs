@@ -166,3 +166,45 @@ fn tables_that_make_no_sense_end() {
     assert_eq!(bench.set("S00Selector", "E3"), OK);
     assert_eq!(bench.integer("S00Selector"), 3);
 }
+
+/// A camera whose triggers and sets of settings are numbers in registers.
+fn of_numbers() -> Make {
+    let text = crate::bench::ANY
+        .replace(
+            "\"TriggerSelector\": {\"type\": \"enumeration\",",
+            "\"TriggerSelector\": {\"type\": \"enumeration\", \"same_register_as\": [\"TriggerOverlap\"],",
+        )
+        .replace(
+            "\"entries\": [\"Off\", \"ReadOut\"]}",
+            "\"entries\": [\"Off\", \"ReadOut\"], \"available_if\": true, \"available_with\": [\"TriggerMode\"]}",
+        )
+        .replace(
+            "\"UserSetLoad\": {\"type\": \"command\"}",
+            "\"UserSetLoad\": {\"type\": \"command\", \"command_value\": {\"of\": [\"UserSetSelector\"]}, \"can_be_read\": true}",
+        );
+    Make::new(Table::parse(&text).expect("a table")).expect("a make")
+}
+
+#[test]
+fn a_selector_that_is_a_number_has_one_mode_and_undoes_the_overlap() {
+    let mut bench = Bench::new((1, 20), of_numbers(), Habits::default());
+    assert_eq!(bench.set("TriggerOverlap", "ReadOut"), DENIED, "it is there only while the trigger is on");
+    bench.set_all(&[("TriggerSelector", "FrameStart"), ("TriggerMode", "On"), ("TriggerOverlap", "ReadOut")]);
+    assert_eq!(bench.integer("TriggerOverlap"), 1);
+    bench.set_all(&[("TriggerSelector", "AcquisitionStart")]);
+    assert_eq!((bench.integer("TriggerMode"), bench.integer("TriggerOverlap")), (1, 0));
+}
+
+#[test]
+fn the_number_of_a_set_stays_in_its_register() {
+    let mut bench = Bench::new((1, 21), of_numbers(), Habits::default());
+    bench.set_all(&[("Gain", "3"), ("UserSetSelector", "Default")]);
+    let (address, _) = bench.make.register("UserSetLoad").expect("there");
+    assert_eq!(bench.integer("UserSetLoad"), 0, "what is written for the default set is there before it");
+    assert_ne!(bench.write(address, &1u32.to_be_bytes()), OK, "another set than the selected one");
+    assert_eq!(bench.write(address, &0u32.to_be_bytes()), OK);
+    assert_eq!(bench.float("Gain"), 0.0);
+    bench.set_all(&[("UserSetSelector", "UserSet1")]);
+    assert_eq!(bench.write(address, &1u32.to_be_bytes()), OK);
+    assert_eq!(bench.integer("UserSetLoad"), 1, "for ever");
+}

@@ -145,7 +145,8 @@ impl Description for AravisCamera {
 
 impl Features for AravisCamera {
     fn has(&self, feature: &str) -> bool {
-        self.device.feature(feature).is_some()
+        // A description is often that of a whole family.
+        self.node(feature).is_some_and(|node| node.is_implemented().unwrap_or(true))
     }
 
     fn is_available(&self, feature: &str) -> bool {

@@ -69,12 +69,18 @@ fn gain(camera: &dyn Description, said_db: Option<f64>) -> Result<Option<(&'stat
             _ => return Err(in_steps(name)),
         }
     }
-    let whole = |name: &&'static str| {
-        camera.feature(name).filter(|f| f.is_writable() && f.kind == Kind::Integer).map(|_| *name)
+    // Steps may be written with a point; only their own name says that they are none of decibels.
+    let steps = |name: &&'static str| {
+        let feature = camera.feature(name).filter(|f| f.is_writable() && f.is_number())?;
+        Some((*name, plain(feature.unit.as_deref().unwrap_or_default())))
     };
-    match STEPS.iter().find_map(whole) {
-        Some(name) if wanted_db == 0.0 => Ok(Some((name, Amount::Least))),
-        Some(name) => Err(in_steps(name)),
+    match STEPS.iter().find_map(steps) {
+        Some((name, unit)) if unit == "db" => {
+            let scale = Scale::Times(1.0);
+            Ok(Some((name, Amount::Near { wanted: wanted_db, scale, tolerance: TOLERANCE_DB, unit: "dB" })))
+        }
+        Some((name, _)) if wanted_db == 0.0 => Ok(Some((name, Amount::Least))),
+        Some((name, _)) => Err(in_steps(name)),
         // A camera without gain has none.
         None if wanted_db == 0.0 => Ok(None),
         None => Err(none_of(camera, &GAINS, "is its gain", WORD)),

@@ -184,6 +184,8 @@ pub struct Plan {
     pub writes: Vec<Write>,
     /// Everything that keeps the camera from being used.
     pub troubles: Vec<Trouble>,
+    /// What an operator should know.
+    pub told: Vec<String>,
     /// The entry of `PixelFormat` that is Mono8, as the camera writes it.
     pub pixel_format: Option<String>,
 }

@@ -185,6 +185,12 @@ fn exposures_of_all_standards_are_found() {
         ("ExposureTimeRaw:int ExposureTimeBaseAbs:float:us", "ExposureTimeRaw=1000/ExposureTimeBaseAbs"),
         ("ExposureTimeRaw:int:ns", "ExposureTimeRaw=1000000"),
         ("ExposureTime:float:µs", "ExposureTime=1000"),
+        ("ExposureTime:float:μsec", "ExposureTime=1000"),
+        ("ExposureTime:float:Âµs", "ExposureTime=1000"),
+        ("ExposureTime:float:\u{fffd}s", "ExposureTime=1000"),
+        ("ExposureTime:float:[us]", "ExposureTime=1000"),
+        ("ExposureTime:float:usecond", "ExposureTime=1000"),
+        ("ExposureTime:float:s", "ExposureTime=0.001"),
         ("Exposure:int:us", "Exposure=1000"),
     ] {
         let plan = short(&resolve(&usual(&[("ExposureTime", has)]), &wishes()));
@@ -204,6 +210,8 @@ fn gains_of_all_standards_are_found() {
         ("GainAbs:float:dB GainRaw:int", 6.0, "GainAbs=6"),
         ("GainRaw:int", 0.0, "GainRaw=least"),
         ("Gain:int", 0.0, "Gain=least"),
+        ("GainRaw:float", 0.0, "GainRaw=least"),
+        ("GainRaw:float:dB", 6.0, "GainRaw=6"),
         ("Gain:float:% GainRaw:int", 0.0, "Gain=least"),
         ("Gain:float:dB GainSelector=All,Red", 3.0, "GainSelector=All Gain=3"),
         (
@@ -222,6 +230,7 @@ fn gains_of_all_standards_are_found() {
     }
     let six = said(|words| words.gain_db = Some(6.0));
     assert!(trouble(&usual(&[("Gain", "GainRaw:int")]), &six).contains("steps"));
+    assert!(trouble(&usual(&[("Gain", "GainRaw:float")]), &six).contains("steps"));
     assert!(trouble(&usual(&[("Gain", "Width:int")]), &six).contains("is its gain"));
     // A camera without gain has none.
     assert!(!short(&resolve(&usual(&[("Gain", "Width:int")]), &wishes())).contains("Gain"));
@@ -252,10 +261,12 @@ fn the_trigger_that_starts_a_frame_is_found_and_the_others_are_off() {
         text.contains("`FrameStart` is not an entry of TriggerSelector: LineStart, ExposureActive"),
         "{text}"
     );
-    assert!(
-        trouble(&usual(&[("TriggerSelector", "TriggerSelector=AcquisitionStart")]), &wishes())
-            .contains("FrameStart")
-    );
+    // Before there was a trigger of frames, that of the acquisition took each; among others it does not.
+    let plan = resolve(&usual(&[("TriggerSelector", "TriggerSelector=AcquisitionStart")]), &wishes());
+    assert!(short(&plan).contains("TriggerSelector=AcquisitionStart TriggerMode=Off TriggerSource=Line0"));
+    assert!(plan.told[0].contains("AcquisitionStart alone"), "{:?}", plan.told);
+    let among = usual(&[("TriggerSelector", "TriggerSelector=AcquisitionStart,AcquisitionEnd")]);
+    assert!(trouble(&among, &wishes()).contains("FrameStart"));
     let alone = short(&resolve(&usual(&[("TriggerSelector", "TriggerSelector=All")]), &wishes()));
     assert!(alone.contains("TriggerSelector=All TriggerMode=Off TriggerSource=Line0"), "{alone}");
     let lines =

@@ -21,16 +21,19 @@ const TOLERANCE_US: f64 = 20.0;
 /// How many of this unit are a microsecond; `None` for a unit that is no time.
 fn per_microsecond(unit: Option<&str>) -> Option<f64> {
     let unit = unit.map(str::trim).unwrap_or_default();
-    match unit.replace(['µ', 'μ'], "u").as_str() {
-        // SFNC: microseconds.
-        "" => Some(1.0),
-        unit => match plain(unit).as_str() {
-            "us" | "usec" | "usecs" | "microsecond" | "microseconds" => Some(1.0),
-            "ms" | "msec" | "millisecond" | "milliseconds" => Some(1e-3),
-            "s" | "sec" | "second" | "seconds" => Some(1e-6),
-            "ns" | "nsec" | "nanosecond" | "nanoseconds" => Some(1e3),
-            _ => None,
-        },
+    // SFNC: microseconds.
+    if unit.is_empty() {
+        return Some(1.0);
+    }
+    // A letter of another alphabet before seconds is a mu, or what was made of one on its way.
+    let prefix = if unit.is_ascii() { "" } else { "u" };
+    match format!("{prefix}{}", plain(unit)).as_str() {
+        "us" | "usec" | "usecs" | "usecond" | "useconds" | "microsec" | "microsecs" | "microsecond"
+        | "microseconds" => Some(1.0),
+        "ms" | "msec" | "msecs" | "millisec" | "millisecs" | "millisecond" | "milliseconds" => Some(1e-3),
+        "s" | "sec" | "secs" | "second" | "seconds" => Some(1e-6),
+        "ns" | "nsec" | "nsecs" | "nanosec" | "nanosecs" | "nanosecond" | "nanoseconds" => Some(1e3),
+        _ => None,
     }
 }
 
@@ -86,7 +89,7 @@ fn exposure_write(camera: &dyn Description, wishes: &Wishes) -> Result<Write, Tr
         None => Err(Trouble::new(
             RAW,
             format!(
-                "the camera counts its exposure in ticks ({RAW}), and none of its features says how long one is (looked \
+                "the camera counts its exposure in ticks ({RAW}), expected a feature that says how long one is (looked \
                  for {}): set [\"{RAW}\", TICKS] in `settings`, and say left_to_settings = [\"{WORD}\"]",
                 TICKS.join(", ")
             ),

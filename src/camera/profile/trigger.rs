@@ -10,10 +10,16 @@ use crate::config::{AUTO, Edge, FeatureValue};
 pub const FRAME_TRIGGERS: [&str; 7] =
     ["FrameStart", "ExposureStart", "FrameBurstStart", "FrameTrigger", "ImageStart", "Frame", "Exposure"];
 
+/// The trigger of cameras from before there was one of frames.
+const BEFORE_FRAMES: &str = "acquisitionstart";
+
 /// Whether the trigger of this name starts a single frame. One that is alone does, whatever it is called, unless its name says
 /// that it starts or ends something else.
 pub fn starts_a_frame(entry: &str, alone: bool) -> bool {
     let name = plain(entry);
+    if alone && name == BEFORE_FRAMES {
+        return true;
+    }
     let other = ["acquisition", "line", "exposureactive", "frameactive"].iter().any(|o| name.starts_with(o))
         || name.ends_with("end");
     FRAME_TRIGGERS.iter().any(|known| plain(known) == name) || alone && !other
@@ -69,6 +75,11 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
         Ok(frame) => frame,
         Err(trouble) => return plan.troubles.push(trouble),
     };
+    if let Some(frame) = frame.as_deref().filter(|frame| plain(frame) == BEFORE_FRAMES) {
+        plan.told.push(format!(
+            "{SELECTOR} has {frame} alone: that one edge takes one frame, and not a row of them, is seen in the warm-up"
+        ));
+    }
     let selector = camera.feature(SELECTOR).filter(|selector| !is_fixed(selector));
     if let (Some(selector), Some(frame)) = (&selector, &frame) {
         // Before SFNC one model of triggers stood beside another.

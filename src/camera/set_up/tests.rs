@@ -8,7 +8,7 @@ use crate::camera::features::{Failed, Features};
 use crate::camera::profile::Wishes;
 use crate::camera::profile::tests::{Made, made, wishes};
 use crate::config::{FeatureSetting, FeatureValue};
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 
 /// A camera that keeps what is written; triggers are kept behind their selector.
@@ -21,6 +21,25 @@ struct Fake {
     line_us: f64,
     /// What it refuses.
     stubborn: Vec<&'static str>,
+    habits: Habits,
+}
+
+/// What some cameras do that no description tells.
+#[derive(Default)]
+struct Habits {
+    /// What `UserSetLoad` says, once asked before it is executed, and whenever it is asked after that.
+    done: Option<(Option<bool>, Option<bool>)>,
+    loaded: Cell<bool>,
+    /// It goes on changing after that.
+    restless: Cell<i64>,
+    /// There is one trigger mode, whatever is selected.
+    one_mode: bool,
+    /// To select a trigger is to set its mode's number, which the overlap is a part of.
+    one_number: bool,
+    /// These are there only while the trigger is on.
+    with_trigger: Vec<&'static str>,
+    /// It makes this of every packet size; 0: it refuses.
+    packets: Option<i64>,
 }
 
 const DEVICE: &str = "PixelFormat=Mono8,Mono12 Width:int Height:int OffsetX:int OffsetY:int PayloadSize:int!ro \
@@ -64,12 +83,14 @@ impl Fake {
             values: RefCell::new(values),
             line_us: 0.0,
             stubborn: Vec::new(),
+            habits: Habits::default(),
         }
     }
 
     fn key(&self, feature: &str) -> String {
         let behind = ["TriggerMode", "TriggerSource", "TriggerActivation"].contains(&feature);
         match self.values.borrow().get("TriggerSelector") {
+            _ if self.habits.one_mode && behind => format!("{feature}@FrameStart"),
             Some(selected) if behind => format!("{feature}@{selected}"),
             _ => feature.to_owned(),
         }
@@ -96,7 +117,8 @@ impl Features for Fake {
     }
 
     fn is_available(&self, feature: &str) -> bool {
-        self.has(feature)
+        let needs = self.habits.with_trigger.contains(&feature);
+        self.has(feature) && (!needs || self.read("TriggerMode").is_ok_and(|mode| mode == text("On")))
     }
 
     fn read(&self, feature: &str) -> Result<FeatureValue, Failed> {
@@ -104,6 +126,10 @@ impl Features for Fake {
             Some(FeatureValue::Integer(value)) => *value,
             _ => 0,
         };
+        if feature == "Width" && self.habits.restless.get() > 0 {
+            self.habits.restless.set(self.habits.restless.get() + 1);
+            return Ok(FeatureValue::Integer(self.habits.restless.get()));
+        }
         if feature == "PayloadSize" {
             let wide = self.values.borrow().get("PixelFormat") == Some(&text("Mono12"));
             return Ok(FeatureValue::Integer(number("Width") * number("Height") * if wide { 2 } else { 1 }));
@@ -120,7 +146,19 @@ impl Features for Fake {
         if known.access == Access::Read || self.stubborn.contains(&feature) {
             return Err(Failed::Refused("access denied".to_owned()));
         }
+        if feature == "TriggerSelector" && self.habits.one_number {
+            self.values.borrow_mut().insert("TriggerOverlap".to_owned(), text("Off"));
+        }
+        if feature == "GevSCPSPacketSize" {
+            let made = self.habits.packets.unwrap_or(9000);
+            if made == 0 {
+                return Err(Failed::Refused("out of range".to_owned()));
+            }
+            self.values.borrow_mut().insert(feature.to_owned(), FeatureValue::Integer(made));
+            return Ok(());
+        }
         if feature == "UserSetLoad" {
+            self.habits.loaded.set(true);
             self.values.borrow_mut().extend(self.delivery.clone());
             return Ok(());
         }
@@ -164,7 +202,8 @@ impl Features for Fake {
     }
 
     fn is_done(&self, _command: &str) -> Option<bool> {
-        None
+        let (before, after) = self.habits.done?;
+        if self.habits.loaded.get() { after } else { before }
     }
 
     fn entries(&self, feature: &str) -> Vec<String> {
@@ -309,4 +348,124 @@ fn what_changes_while_a_session_runs_is_named() {
     let names: Vec<&str> = changed.iter().map(|(name, ..)| name.as_str()).collect();
     assert_eq!(names, ["ExposureAuto", "Gain"]);
     assert_eq!(changed[1].2, "6");
+}
+
+/// A camera with further features, each with a value.
+fn with(features: &str, values: &[(&str, FeatureValue)]) -> Fake {
+    let mut fake = Fake::new();
+    fake.made.0.extend(made(features).0);
+    fake.values.borrow_mut().extend(values.iter().map(|(name, value)| ((*name).to_owned(), value.clone())));
+    fake
+}
+
+#[test]
+fn a_load_that_never_says_done_is_settled_read_back_and_told() {
+    // 0 for the default set is what the register says anyway; another number stays there for ever.
+    for done in [(Some(false), Some(false)), (Some(true), Some(false))] {
+        let mut fake = Fake::new();
+        fake.habits.done = Some(done);
+        fake.delivery = [("ExposureAuto".to_owned(), text("Off"))].into();
+        let set = set_up(&fake, &wanted()).expect("set up");
+        let told = set.told.join("; ");
+        assert!(
+            told.contains("UserSetLoad of Default never says that it is done; it changed ExposureAuto, and"),
+            "{told}"
+        );
+        assert_eq!(fake.has_now("ExposureTime"), FeatureValue::Float(1000.0));
+    }
+    // One that says so is believed at once, and nothing is told of it.
+    let mut fake = Fake::new();
+    fake.habits.done = Some((Some(true), Some(true)));
+    let set = set_up(&fake, &wanted()).expect("set up");
+    assert!(!set.told.join("; ").contains("UserSetLoad"), "{:?}", set.told);
+}
+
+#[test]
+fn a_status_that_says_in_progress_before_anything_was_begun_says_nothing() {
+    let fake = with("UserSetLoadStatus=InProgress,Success!ro", &[("UserSetLoadStatus", text("InProgress"))]);
+    set_up(&fake, &wanted()).expect("set up");
+}
+
+#[test]
+fn a_camera_that_goes_on_changing_is_still_loading() {
+    let mut fake = Fake::new();
+    fake.habits.done = Some((Some(false), Some(false)));
+    fake.habits.restless.set(1);
+    let all = problems(set_up(&fake, &wanted())).join("\n");
+    assert!(all.contains("UserSetLoad is not done after 5 s"), "{all}");
+}
+
+#[test]
+fn a_mode_that_is_one_for_all_triggers_is_looked_at_once() {
+    let mut fake = Fake::new();
+    fake.habits.one_mode = true;
+    set_up(&fake, &wanted()).expect("set up");
+    assert_eq!(
+        (fake.has_now("TriggerSelector"), fake.has_now("TriggerMode")),
+        (text("FrameStart"), text("On"))
+    );
+    // Two that are on by themselves are two all the same, and stay as somebody wants them.
+    let fake = Fake::new();
+    let mut wishes = wanted();
+    let raw = |feature: &str, value: &str| FeatureSetting { feature: feature.to_owned(), value: text(value) };
+    wishes.raw = vec![raw("TriggerSelector", "AcquisitionStart"), raw("TriggerMode", "On")];
+    let all = problems(set_up(&fake, &wishes)).join("\n");
+    assert!(
+        all.contains("TriggerMode is On for AcquisitionStart and FrameStart, expected for one alone"),
+        "{all}"
+    );
+    for entry in ["FrameStart", "AcquisitionStart"] {
+        fake.set_text("TriggerSelector", entry).expect("settable");
+        assert_eq!(fake.has_now("TriggerMode"), text("On"), "{entry}");
+    }
+}
+
+#[test]
+fn what_comes_with_the_trigger_is_set_after_it() {
+    let mut fake = with("TriggerOverlap=Off,ReadOut", &[("TriggerOverlap", text("Off"))]);
+    fake.habits.with_trigger = vec!["TriggerOverlap"];
+    let done = set_up(&fake, &wanted()).expect("set up");
+    assert_eq!(fake.has_now("TriggerOverlap"), text("ReadOut"));
+    assert!(done.watched.contains_key("TriggerOverlap"));
+    // What never comes is named.
+    let mut fake = Fake::new();
+    fake.habits.with_trigger = vec!["Gain"];
+    fake.stubborn = vec!["TriggerMode"];
+    let all = problems(set_up(&fake, &wanted())).join("\n");
+    assert!(all.contains("Gain is not available as the camera is set: gain_db sets it"), "{all}");
+}
+
+#[test]
+fn what_selecting_a_trigger_has_undone_is_set_again() {
+    let mut fake = with("TriggerOverlap=Off,ReadOut", &[("TriggerOverlap", text("Off"))]);
+    fake.habits.one_mode = true;
+    fake.habits.one_number = true;
+    fake.habits.with_trigger = vec!["TriggerOverlap"];
+    set_up(&fake, &wanted()).expect("set up");
+    assert_eq!(fake.has_now("TriggerOverlap"), text("ReadOut"));
+}
+
+#[test]
+fn packet_sizes_are_the_cameras_or_refused_by_name() {
+    let size = [("GevSCPSPacketSize", FeatureValue::Integer(1500))];
+    let mut fake = with("GevSCPSPacketSize:int", &size);
+    fake.habits.packets = Some(8164);
+    let told = set_up(&fake, &wanted()).expect("set up").told.join("; ");
+    assert!(told.contains("packet_bytes = 9000: the camera takes 8164 bytes"), "{told}");
+    fake.habits.packets = Some(0);
+    let all = problems(set_up(&fake, &wanted())).join("\n");
+    assert!(
+        all.contains("GevSCPSPacketSize cannot be set to 9000: the camera refuses it (out of range)"),
+        "{all}"
+    );
+    assert!(all.contains("say packet_bytes = 8164") && !all.contains("power"), "{all}");
+}
+
+#[test]
+fn a_colour_sensor_that_sends_grey_is_told() {
+    let filter = |value: &str| with("PixelColorFilter=None,BayerRG!ro", &[("PixelColorFilter", text(value))]);
+    let told = |fake: &Fake| set_up(fake, &wanted()).expect("set up").told.join("; ");
+    assert!(told(&filter("BayerRG")).contains("the sensor sees colours (PixelColorFilter is BayerRG)"));
+    assert!(!told(&filter("None")).contains("colours"));
+    assert!(told(&with("PixelFormat=Mono8,BayerRG8", &[])).contains("PixelFormat also has BayerRG8"));
 }

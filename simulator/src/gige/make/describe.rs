@@ -4,6 +4,7 @@
 //! What firmware decides (bounds that depend, locks, what is there) is read from registers beside each feature's own.
 
 use super::Make;
+use super::commands::Written;
 use super::places::{self, AVAILABLE, IMPLEMENTED, LOCKED, Link, Said};
 use super::rules;
 use super::table::{Access, Bound, Feature, Kind};
@@ -46,6 +47,11 @@ fn escaped(text: &str) -> String {
     text.chars().map(safe).collect()
 }
 
+/// A text as a document holds it, in the letters of any language.
+fn plain_text(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control() && !"<>&".contains(*c)).collect()
+}
+
 fn access_text(access: Access) -> &'static str {
     match access {
         Access::Ro => "RO",
@@ -84,7 +90,12 @@ impl Node<'_> {
                     Access::Ro
                 }
             }
-            None => rules::access(self.feature),
+            // What a client may do with a command is one thing, whether its register can be read another.
+            None => match self.feature.can_be_read {
+                Some(true) if self.feature.kind == Kind::Command => Access::Rw,
+                Some(false) if self.feature.kind == Kind::Command => Access::Wo,
+                _ => rules::access(self.feature),
+            },
         };
         let name = &self.feature.name;
         let conditions = self.conditions();
@@ -107,10 +118,14 @@ impl Node<'_> {
                 self.put(&format!("<Boolean Name=\"{name}\">{conditions}{value}{values}</Boolean>"));
             }
             Kind::Command => {
-                let command = link.map_or(1, |link| link.command);
-                self.put(&format!(
-                    "<Command Name=\"{name}\">{conditions}{value}<CommandValue>{command}</CommandValue></Command>"
-                ));
+                let own = match self.feature.access {
+                    Some(own) if link.is_none() => {
+                        format!("<ImposedAccessMode>{}</ImposedAccessMode>", access_text(own))
+                    }
+                    _ => String::new(),
+                };
+                let command = self.command(link);
+                self.put(&format!("<Command Name=\"{name}\">{own}{conditions}{value}{command}</Command>"));
             }
             Kind::Enumeration => {
                 let (entries, selected) = (self.entries(link), self.selected());
@@ -129,6 +144,18 @@ impl Node<'_> {
         self.register(&register, address, length, Form { access, bits, float, signed: link.is_none() });
         if link.is_none() {
             self.said(float);
+        }
+    }
+
+    /// What is written to execute it.
+    fn command(&self, link: Option<Link>) -> String {
+        let fixed = |value: u32| format!("<CommandValue>{value}</CommandValue>");
+        match (link, self.make.written(self.index)) {
+            (Some(link), _) => fixed(link.command),
+            (None, Written::Always(value)) => fixed(value),
+            (None, Written::Of(of)) => {
+                format!("<pCommandValue>{}_Sim</pCommandValue>", self.make.table.features[of].name)
+            }
         }
     }
 
@@ -211,11 +238,14 @@ impl Node<'_> {
     }
 
     fn unit(&self) -> String {
-        self.feature.unit.as_ref().map_or_else(String::new, |unit| format!("<Unit>{}</Unit>", escaped(unit)))
+        self.feature
+            .unit
+            .as_ref()
+            .map_or_else(String::new, |unit| format!("<Unit>{}</Unit>", plain_text(unit)))
     }
 
     fn selected(&self) -> String {
-        let names = self.make.selectors.iter().zip(&self.make.table.features);
+        let names = self.make.declared.iter().zip(&self.make.table.features);
         let of = names.filter(|(selectors, _)| selectors.contains(&self.index));
         of.map(|(_, feature)| format!("<pSelected>{}</pSelected>", feature.name)).collect()
     }

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The firmware of a make: values of its features, which of them it takes, and what its commands do.
 
+use super::commands::{Echo, Written};
 use super::places::{self, AVAILABLE, IMPLEMENTED, LOCKED, Place, STRIDE, Said};
 use super::rules::{self, Lock, Range};
 use super::table::{Access, Bound, Feature, Kind};
-use super::{Make, describe};
+use super::{Make, describe, shared};
 use crate::gige::gvcp::Status;
 use crate::gige::habits::{Exposures, Habits};
 use crate::gige::registers::Effect;
@@ -49,6 +50,8 @@ pub struct Firmware {
     saved: BTreeMap<i64, BTreeMap<Key, Value>>,
     /// Commands that are not done yet.
     pending: Vec<(usize, Instant)>,
+    /// What the registers of commands say that keep what was written.
+    echoes: BTreeMap<usize, u32>,
     acquiring: bool,
     /// Exposure that is used where it is not the one that is read back.
     pub(super) nearest_us: Option<f64>,
@@ -64,13 +67,15 @@ impl Firmware {
             stored: BTreeMap::new(),
             saved: BTreeMap::new(),
             pending: Vec::new(),
+            echoes: BTreeMap::new(),
             acquiring: false,
             nearest_us: None,
         };
         let make = Arc::clone(&firmware.make);
         for (index, place, value) in &make.left_over {
             for key in firmware.all_keys(*index, *place) {
-                firmware.stored.insert((*index, key), value.clone());
+                let (key, value) = firmware.place(*index, (*index, key), value.clone());
+                firmware.stored.insert(key, value);
             }
         }
         firmware
@@ -113,6 +118,29 @@ impl Firmware {
         keys
     }
 
+    /// Where a value is kept, and as what: of features that are one number it is that number.
+    fn place(&self, index: usize, key: Key, value: Value) -> (Key, Value) {
+        match self.make.shared.first() {
+            Some(first) if self.make.shared.contains(&index) => {
+                let entry = self.entry_of(index, value.number() as i64).unwrap_or_default();
+                ((*first, Vec::new()), Value::Integer(shared::number(entry)))
+            }
+            _ => (key, value),
+        }
+    }
+
+    /// The code of the entry that stands for the number that several features are.
+    fn shared(&self, index: usize) -> Option<i64> {
+        if !self.make.shared.contains(&index) {
+            return None;
+        }
+        let first = *self.make.shared.first()?;
+        let number = self.stored.get(&(first, Vec::new())).map_or(0, |value| value.number() as i64);
+        let entries = &self.feature(index).entries;
+        let place = |number: i64| entries.iter().position(|entry| shared::number(entry) == number);
+        Some(self.make.code(index, place(number).or_else(|| place(0)).unwrap_or(0)))
+    }
+
     fn key(&self, index: usize) -> Key {
         let selectors = &self.make.selectors[index];
         (index, selectors.iter().map(|selector| self.integer(*selector)).collect())
@@ -128,6 +156,9 @@ impl Firmware {
     /// The value at a key: what is stored, or that of the user set `Default`; within its bounds as they are now.
     fn plain(&self, index: usize, key: &Key) -> Value {
         let feature = self.feature(index);
+        if let Some(code) = self.shared(index) {
+            return Value::Integer(code);
+        }
         if let Some(value) = self.stored.get(key) {
             return match value {
                 // A binning that came later has made the picture smaller.
@@ -199,6 +230,12 @@ impl Firmware {
     pub(super) fn entry_at(&self, name: &str, selected: &str) -> Option<&str> {
         let index = self.make.table.find(name)?;
         self.entry_of(index, self.value_at(name, selected)?.number() as i64)
+    }
+
+    /// Whether a feature has a value for each entry of a selector.
+    pub(super) fn is_behind(&self, name: &str, selector: &str) -> bool {
+        let (index, selector) = (self.make.table.find(name), self.make.table.find(selector));
+        index.zip(selector).is_some_and(|(index, selector)| self.make.selectors[index].contains(&selector))
     }
 
     /// The value of a feature for an entry of its first selector; without a selector its only one.
@@ -318,7 +355,14 @@ impl Firmware {
                 (self.said(index, what), at)
             }
             Place::Value(index, at) if known(&index) => {
-                if rules::access(self.feature(index)) == Access::Wo {
+                // A number that was put into a register can be read, whatever its description says.
+                let kept =
+                    self.feature(index).kind == Kind::Command && self.make.echo(index) == Echo::ForEver;
+                let hidden = match self.feature(index).can_be_read {
+                    Some(can_be_read) => !can_be_read,
+                    None => rules::access(self.feature(index)) == Access::Wo,
+                };
+                if hidden && !kept {
                     return Err(Status::AccessDenied);
                 }
                 (self.encode(index), at)
@@ -347,9 +391,10 @@ impl Firmware {
         let feature = self.feature(index);
         if feature.kind == Kind::Command {
             // What is not done yet is still what was written.
-            return u32::from(self.pending.iter().any(|(pending, _)| *pending == index))
-                .to_be_bytes()
-                .to_vec();
+            let written = self.echoes.get(&index).copied().unwrap_or(0);
+            let is_pending = self.pending.iter().any(|(pending, _)| *pending == index);
+            let stays = is_pending || self.make.echo(index) == Echo::ForEver;
+            return u32::from(stays).saturating_mul(written).to_be_bytes().to_vec();
         }
         match (feature.kind, self.value(index)) {
             (Kind::Float, value) => value.number().to_be_bytes().to_vec(),
@@ -417,7 +462,7 @@ impl Firmware {
     }
 
     fn store(&mut self, index: usize, value: Value) -> Option<Effect> {
-        let key = self.key(index);
+        let (key, value) = self.place(index, self.key(index), value);
         self.stored.insert(key, value);
         Some(Effect::Stream)
     }
@@ -465,7 +510,12 @@ impl Firmware {
     }
 
     fn command(&mut self, index: usize, code: u32, now: Instant) -> Result<Option<Effect>, Status> {
-        accept(code == 1)?;
+        let executes = match self.make.written(index) {
+            Written::Always(value) => i64::from(value),
+            Written::Of(of) => self.integer(of),
+        };
+        accept(i64::from(code) == executes)?;
+        self.echoes.insert(index, code);
         match self.feature(index).name.as_str() {
             "AcquisitionStart" => Ok(Some(Effect::Start)),
             "AcquisitionStop" | "AcquisitionAbort" => Ok(Some(Effect::Stop)),

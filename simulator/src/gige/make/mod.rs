@@ -4,12 +4,14 @@
 //! [`table`] is what descriptions show, [`rules`] what firmware does besides, [`places`] where registers lie. [`describe`]
 //! writes the GenICam description; [`firmware`] holds values and refuses them; [`working`] says what they come to.
 
+mod commands;
 mod describe;
 pub mod firmware;
 mod formats;
 mod places;
 mod rules;
 mod setup;
+mod shared;
 pub mod table;
 mod working;
 
@@ -28,8 +30,12 @@ use table::Kind;
 #[derive(Debug, Clone)]
 pub struct Make {
     table: Table,
-    /// By feature: its selectors.
+    /// By feature: its selectors, as the description names them.
+    declared: Vec<Vec<usize>>,
+    /// By feature: its selectors behind which there are several values.
     selectors: Vec<Vec<usize>>,
+    /// The features that are one number: an entry of each stands for it.
+    shared: BTreeSet<usize>,
     /// By feature: the register of the standard that it shows.
     links: Vec<Option<Link>>,
     /// By feature: the feature that holds its value, and what that is multiplied by.
@@ -56,23 +62,16 @@ impl Make {
                 selectors[selected].push(index);
             }
         }
-        // Some descriptions leave out what every client takes for granted: that a trigger's settings are the selected one's.
-        if let Some(selector) = table.find("TriggerSelector")
-            && table.features[selector].selects.is_empty()
-        {
-            for name in
-                ["TriggerMode", "TriggerSource", "TriggerActivation", "TriggerDelay", "TriggerOverlap"]
-            {
-                selectors
-                    .get_mut(table.find(name).unwrap_or(count))
-                    .into_iter()
-                    .for_each(|s| s.push(selector));
-            }
-        }
         for known in &mut selectors {
             known.retain(|selector| selects(&table, *selector));
         }
         break_chains(&mut selectors);
+        let declared = selectors.clone();
+        let shared = shared::features(&table);
+        // Who selects by a number of the trigger's own selects nothing: there is one value for all entries.
+        for known in &mut selectors {
+            known.retain(|selector| !shared.contains(selector));
+        }
         let mut aliases = vec![None; count];
         for names in [rules::EXPOSURE, rules::GAIN] {
             let there: Vec<usize> = names.iter().filter_map(|name| table.find(name)).collect();
@@ -82,7 +81,7 @@ impl Make {
         }
         let links = table.features.iter().map(places::link).collect();
         let wire = rules::wired_line(&table);
-        Ok(Self { table, selectors, links, aliases, wire, left_over: Vec::new() })
+        Ok(Self { table, declared, selectors, shared, links, aliases, wire, left_over: Vec::new() })
     }
 
     /// From a table's file.

@@ -99,6 +99,10 @@ pub fn needs(feature: &Feature) -> Option<(&'static [&'static str], &'static [&'
     if !feature.available_if {
         return None;
     }
+    // With the mode of the trigger comes and goes what only a trigger that is on has.
+    if feature.name == "TriggerOverlap" && feature.available_with.iter().any(|with| with == "TriggerMode") {
+        return Some((&["TriggerMode"], &["On"]));
+    }
     match feature.name.as_str() {
         // A trigger by command makes sense to who has asked for one.
         "TriggerSoftware" => Some((&["TriggerSource"], &["Software", "SoftTrigger"])),

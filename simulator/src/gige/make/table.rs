@@ -47,6 +47,15 @@ pub enum Bound {
     Fixed(f64),
 }
 
+/// What is written to execute a command.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum CommandValue {
+    /// Always this.
+    Fixed(u32),
+    /// What follows from these features; none: from something that is no feature.
+    Of(Vec<String>),
+}
+
 /// One feature.
 #[derive(Debug, Clone)]
 pub struct Feature {
@@ -74,6 +83,14 @@ pub struct Feature {
     pub available_if: bool,
     /// Some models of the family do not have it.
     pub implemented_if: bool,
+    /// Of a command: what is written.
+    pub command_value: CommandValue,
+    /// Of a command: whether its register can be read; `None` where the table does not say.
+    pub can_be_read: Option<bool>,
+    /// Features that lie in the same register.
+    pub same_register_as: Vec<String>,
+    /// Features that share a register with what makes this one come and go.
+    pub available_with: Vec<String>,
 }
 
 /// A whole table.
@@ -193,6 +210,12 @@ struct Row {
     available_if: bool,
     #[serde(default)]
     implemented_if: bool,
+    command_value: Option<Value>,
+    can_be_read: Option<bool>,
+    #[serde(default)]
+    same_register_as: Vec<String>,
+    #[serde(default)]
+    available_with: Vec<String>,
 }
 
 impl Row {
@@ -235,24 +258,42 @@ impl Row {
         if matches!(inc, Bound::Fixed(inc) if inc <= 0.0) {
             return Err(wrong("expected an increment above 0"));
         }
+        let command_value = match self.command_value {
+            None => CommandValue::Fixed(1),
+            Some(Value::Number(number)) => CommandValue::Fixed(
+                number
+                    .as_u64()
+                    .and_then(|number| u32::try_from(number).ok())
+                    .ok_or_else(|| wrong("expected a command_value that fits into a register"))?,
+            ),
+            Some(Value::Object(of)) => CommandValue::Of(
+                serde_json::from_value(of.get("of").cloned().unwrap_or_default())
+                    .map_err(|_| wrong("expected a command_value {\"of\": [features]}"))?,
+            ),
+            Some(_) => {
+                return Err(wrong("expected a command_value that is a number or {\"of\": [features]}"));
+            }
+        };
         // Descriptions also name registers and parts of features; those are not in a table.
         let selects =
             self.selects.into_iter().filter(|other| *other != name && all.contains(other)).collect();
-        let Row { kind, unit, entries, access, locked_by, available_if, implemented_if, .. } =
-            Row { min: None, max: None, inc: None, selects: Vec::new(), ..self };
         Ok(Feature {
             name,
-            kind,
-            unit,
+            kind: self.kind,
+            unit: self.unit,
             min,
             max,
             inc,
-            entries,
+            entries: self.entries,
             selects,
-            access,
-            locked_by,
-            available_if,
-            implemented_if,
+            access: self.access,
+            locked_by: self.locked_by,
+            available_if: self.available_if,
+            implemented_if: self.implemented_if,
+            command_value,
+            can_be_read: self.can_be_read,
+            same_register_as: self.same_register_as,
+            available_with: self.available_with,
         })
     }
 }

@@ -116,12 +116,19 @@ impl Firmware {
             }
             return;
         };
-        let on: Vec<(&str, Role)> = selector
-            .entries
-            .iter()
-            .filter(|entry| self.entry_at("TriggerMode", entry) == Some("On"))
-            .map(|entry| (entry.as_str(), role(entry)))
-            .collect();
+        // Where the mode is not behind the selector, what is selected is what is on.
+        let is_on = |entry: &str| match self.is_behind("TriggerMode", "TriggerSelector") {
+            true => self.entry_at("TriggerMode", entry) == Some("On"),
+            false => self.entry("TriggerSelector") == Some(entry) && self.entry("TriggerMode") == Some("On"),
+        };
+        // Before there were triggers of frames, that of the acquisition started each.
+        let alone = selector.entries.len() == 1;
+        let role = |entry: &str| match role(entry) {
+            Role::Gate if alone && entry == "AcquisitionStart" => Role::Frame,
+            role => role,
+        };
+        let entries = selector.entries.iter().filter(|entry| is_on(entry));
+        let on: Vec<(&str, Role)> = entries.map(|entry| (entry.as_str(), role(entry))).collect();
         let of = |wanted: &[Role]| on.iter().find(|(_, role)| wanted.contains(role)).copied();
         let start = of(&[Role::Frame, Role::Bulb]);
         let burst = of(&[Role::Burst]);
