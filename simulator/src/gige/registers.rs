@@ -4,7 +4,10 @@
 //! Addresses below 0xa000 are the bootstrap registers of GigE Vision 2.x; those from 0x10000 on are the
 //! camera's own features, declared to the world by [`super::genicam`].
 
+mod kinds;
+
 use super::clock::CameraClock;
+use super::described::Described;
 use super::gvcp::{DISCOVERY_SIZE, ForceIp, Status};
 use super::gvsp::{FORMATS, Form, IdMode};
 use super::habits::{ClockHabit, Habits};
@@ -84,6 +87,8 @@ pub struct Registers {
     habits: Habits,
     /// Of a camera that is like a table says; else its features are those of [`super::map`].
     firmware: Option<Firmware>,
+    /// Of a camera behind a published description; its features are those.
+    described: Option<Arc<Described>>,
     /// Address, subnet mask and gateway of a camera that can be moved; in its memory.
     network: Network,
     /// The clock as it was latched, ns.
@@ -126,6 +131,7 @@ impl Registers {
             xml: genicam::xml(&identity.model, habits.clock),
             habits,
             firmware: None,
+            described: None,
             network: Network::new(identity.address),
             identity,
             sensor,
@@ -146,24 +152,6 @@ impl Registers {
             action_keys: [0; 3],
             ptp: false,
         }
-    }
-
-    /// Registers after power-on of a camera of this make.
-    pub fn of_make(
-        identity: Identity,
-        sensor: (u32, u32),
-        clock: Arc<CameraClock>,
-        habits: Habits,
-        make: Arc<Make>,
-        network: &Network,
-    ) -> Self {
-        let firmware = Firmware::new(make, sensor, habits);
-        let mut xml = firmware.description().into_bytes();
-        xml.resize(xml.len().next_multiple_of(4), b'\n');
-        let settings = firmware.settings();
-        let packet_size = firmware.first_packet_size();
-        let plain = Self::new(identity, sensor, clock, habits);
-        Self { firmware: Some(firmware), xml, settings, packet_size, network: network.clone(), ..plain }
     }
 
     /// Its MAC: a locally administered one that holds its first address, unique on this host.
@@ -256,6 +244,9 @@ impl Registers {
         {
             let done = firmware.write(address, data, acquiring, now)?;
             self.settings = firmware.settings();
+            return Ok(done);
+        }
+        if let Some(done) = self.write_memory(address, data) {
             return Ok(done);
         }
         let Some((register, offset)) = find(address) else {
@@ -453,6 +444,9 @@ impl Registers {
 
     /// The four bytes at an aligned address.
     fn word(&self, address: u32) -> Option<[u8; 4]> {
+        if let Some(word) = self.memory_word(address) {
+            return Some(word);
+        }
         if let Some(firmware) = self.firmware.as_ref().filter(|_| (FEATURES..XML_ADDRESS).contains(&address))
         {
             // Of a standard's register and nothing else of the map's own features.
@@ -497,7 +491,10 @@ impl Registers {
             Id::ManufacturerInfo => "simulated camera".to_owned(),
             Id::Serial => self.identity.serial.clone(),
             Id::UserName => self.identity.user_name.clone(),
-            Id::XmlUrl => format!("Local:fourdbody-sim.xml;{XML_ADDRESS:x};{:x}", self.xml.len()),
+            Id::XmlUrl => match &self.described {
+                Some(described) => described.url(),
+                None => format!("Local:fourdbody-sim.xml;{XML_ADDRESS:x};{:x}", self.xml.len()),
+            },
             _ => String::new(),
         }
     }
