@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """bench.py DESCRIPTION WIDTH HEIGHT: prepares a camera behind it, and judges its memory; JSON by lines.
 
-First {"bootstrap": [[address, word]]} comes in, and the camera goes out: facts, memory, and what may be left over. Then for each
-{"memory": [[address, [selectors], word]], "asked": {...}} goes out what is found and what is wrong.
+First {"bootstrap": [[address, word]]} comes in, and the camera goes out: facts, memory, and what may be left over. Then for
+each {"bootstrap", "memory": [[address, [selectors], word]], "asked": {...}} goes out what is found and what is wrong.
 """
 import json
 import sys
@@ -10,7 +10,7 @@ import sys
 import facts
 import judge
 import left_over
-from description import Description
+from description import Description, kind
 from prepare import Preparation
 
 
@@ -38,16 +38,20 @@ def main():
     memory.banks = {at: by for at, by in known["banks"]}
     camera.forget()
     new, left = dict(memory.words), []
-    camera_line = line_of(camera)
+    line = line_of(camera)
     for name, settings in left_over.WAYS:
         if left_over.leave(camera, settings):
             left.append({"name": name, "memory": words(memory)})
         memory.words = dict(new)
         camera.forget()
+    if [left_over.leave(camera, settings) for _, settings in left_over.WAYS].count(True) > 1:
+        left.append({"name": "everything at once", "memory": words(memory)})
+    memory.words = dict(new)
+    camera.forget()
     names = ("ModelName", "VendorName", "StandardNameSpace")
-    about = {name: camera.root.get(name) for name in names}
-    start = judge.judge(camera, asked_nothing(camera_line, size))["found"]
-    answer({"about": about, "facts": known, "memory": words(memory), "left": left, "line": camera_line, "start": start})
+    about = {name: camera.root.get(name) for name in names} | {"kind": kind(camera)}
+    start = judge.judge(camera, asked_nothing(line, size))["found"]
+    answer({"about": about, "facts": known, "memory": words(memory), "left": left, "line": line, "start": start})
     for text in sys.stdin:
         request = json.loads(text)
         memory.words = {(at, tuple(behind)): word for at, behind, word in request["memory"]}

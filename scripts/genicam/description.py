@@ -7,6 +7,7 @@ import zipfile
 import genicam.genapi as genapi
 
 BOOTSTRAP_END = 0xA000
+BESIDE = {"pSelected", "pPort", "pInvalidator", "pIsImplemented", "pIsAvailable", "pIsLocked", "pFeature", "pAlias"}
 REGISTERS = {"IntReg", "MaskedIntReg", "FloatReg", "StringReg", "Register", "StructEntry"}
 
 
@@ -61,7 +62,14 @@ class Description:
     def __init__(self, path):
         text = read(path)
         self.root = ElementTree.fromstring(text.encode())
-        self.nodes = {node.get("Name"): node for node in self.root.iter() if node.get("Name")}
+        # An entry is no node of its own: `Width` is one of a selector of chunks, too.
+        named = (node for node in self.root.iter() if node.get("Name") and tag(node) != "EnumEntry")
+        self.nodes = {node.get("Name"): node for node in named}
+        for struct in [node for node in self.root.iter() if tag(node) == "StructReg"]:
+            # What a structure says is said of its entries.
+            common = [part for part in struct if tag(part) != "StructEntry"]
+            for entry in [part for part in struct if tag(part) == "StructEntry"]:
+                entry.extend(part for part in common if tag(part) not in [tag(own) for own in entry])
         self.memory = Memory()
         self.map = self.open(text)
         # The maker writes what others only read, whenever he likes.
@@ -111,7 +119,7 @@ class Description:
             if isinstance(node, genapi.IEnumeration):
                 return node.to_string()
             return node.value
-        except genapi.GenericException:
+        except (genapi.GenericException, AttributeError):
             return None
 
     def put(self, name, value, by_maker=False):
@@ -120,12 +128,33 @@ class Description:
         try:
             if isinstance(node, genapi.IEnumeration):
                 node.from_string(str(value))
+            elif not self.has_steps(name, by_maker):
+                return False  # GenApi divides by what is zero.
             else:
                 node.set_value(value)
         except (genapi.GenericException, AttributeError, TypeError, OverflowError):
             return False
         self.forget()
         return True
+
+    def has_steps(self, name, by_maker):
+        nodes = [self.node(other, by_maker) for other in self.chain(name)]
+        return all(bound(node, "inc", 1) > 0 for node in nodes if isinstance(node, genapi.IInteger))
+
+    def chain(self, name):
+        """A feature and the nodes that its value passes through."""
+        names = [name]
+        for known in names:
+            names += [ref for _, ref in self.refs(known, ("pValue",)) if ref not in names]
+        return names
+
+    def below(self, name):
+        """A feature and all nodes on which its value and its bounds rest."""
+        names = [name]
+        for known in names:
+            found = [ref for kind, ref in self.refs(known) if kind not in BESIDE and ref not in names and ref in self.nodes]
+            names += dict.fromkeys(found)
+        return names
 
     def entries(self, name):
         """The entries of an enumeration that are there now."""
@@ -176,3 +205,11 @@ def bound(node, which, otherwise):
         return getattr(node, which, otherwise)
     except genapi.GenericException:
         return otherwise
+
+
+def kind(camera):
+    """The network that it is made for, as far as its names say."""
+    text = " ".join(camera.nodes)
+    if "Gev" in text:
+        return "GigE"
+    return "USB3" if "U3V" in text or "USB" in text or "DeviceLinkThroughputLimit" in text and "Cxp" not in text else "other"

@@ -96,6 +96,7 @@ def again(camera, name):
     if isinstance(node, genapi.IEnumeration):
         node.from_string(camera.entries(name)[0])
     elif is_number(node):
-        node.set_value(node.min)
+        if camera.has_steps(name, by_maker=True):
+            node.set_value(node.min)
     else:
         node.set_value(node.value)

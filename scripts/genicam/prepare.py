@@ -4,7 +4,7 @@ import re
 
 import genicam.genapi as genapi
 
-from description import BOOTSTRAP_END, bound, is_number, tag
+from description import BOOTSTRAP_END, REGISTERS, bound, is_number, tag
 
 MATTERS = re.compile(
     "Trigger|Exposure|Shutter|Gain|PixelFormat|PixelCoding|PixelSize|Width|Height|Offset|Acquisition|UserSet|Gamma|LUT|"
@@ -16,7 +16,7 @@ DELIVERED = {
     "ExposureMode": "Timed", "TestPattern": "Off", "TestImageSelector": "Off", "PixelFormat": "Mono8", "LineMode": "Input",
     "TriggerActivation": "RisingEdge", "SequencerMode": "Off", "GammaEnable": False, "LUTEnable": False, "LUTMode": "Off",
     "BinningHorizontal": 1, "BinningVertical": 1, "DecimationHorizontal": 1, "DecimationVertical": 1, "Gamma": 1.0,
-    "OffsetX": 0, "OffsetY": 0, "ExposureTime": 5000.0, "ExposureTimeAbs": 5000.0, "AcquisitionFrameRate": 30.0,
+    "ExposureTimeBaseAbs": 20.0, "OffsetX": 0, "OffsetY": 0, "ExposureTime": 5000.0, "ExposureTimeAbs": 5000.0, "AcquisitionFrameRate": 30.0,
     "AcquisitionFrameRateAbs": 30.0, "Gain": 0.0, "TriggerDelay": 0.0, "TriggerDelayAbs": 0.0, "TriggerDivider": 1,
     "UserSetSelector": "Default", "GainSelector": "All", "ChunkModeActive": False, "ReverseX": False, "ReverseY": False,
 }
@@ -50,27 +50,18 @@ class Preparation:
         if not self.camera.put(name, value, by_maker=True) and isinstance(value, float):
             self.camera.put(name, int(value), by_maker=True)
 
-    def chain(self, name):
-        """A feature and the nodes that its value passes through."""
-        names, at = [], 0
-        names.append(name)
-        while at < len(names):
-            names += [ref for _, ref in self.camera.refs(names[at], ("pValue",)) if ref not in names]
-            at += 1
-        return names
-
     def inquiries(self, names, kinds):
         """Registers that only the camera writes."""
-        found = [name for name in self.camera.registers(names, kinds) if self.camera.is_read_only(name)]
+        found = self.camera.registers(names, kinds)
+        if kinds != THERE:
+            found += [name for name in names if tag(self.camera.nodes[name]) in REGISTERS]
+        found = [name for name in found if self.camera.is_read_only(name)]
         return list(dict.fromkeys(found))
 
     def be_there(self, name):
         """What the camera says that it has, it has."""
-        chain = self.chain(name)
-        entries = [part.get("Name") for part in self.camera.nodes[name].iter() if tag(part) == "EnumEntry"]
-        if self.is_there(name) and not entries:
-            return
-        registers = self.inquiries(chain, THERE)
+        chain = self.camera.chain(name)
+        registers = self.inquiries(self.camera.below(name), THERE)
         for register in registers:
             node = self.camera.node(register, by_maker=True)
             try:
@@ -116,9 +107,9 @@ class Preparation:
             except genapi.GenericException:
                 return 1e9
 
-        self.seek(self.chain(name), BOUNDS, score, [usual] if usual else [])
+        self.seek(self.camera.chain(name), BOUNDS, score, [usual] if usual else [])
         if score():
-            self.seek(self.chain(name), None, score, [usual] if usual else [])
+            self.seek(self.camera.chain(name), None, score, [usual] if usual else [])
 
     def be_valid(self, name):
         """A value that is none becomes the first one that is."""

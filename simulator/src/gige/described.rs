@@ -7,7 +7,7 @@
 //! read from the registers here: another implementation of GenICam reads them, and says ([`Described::work_as`]).
 
 use super::settings::Settings;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -59,6 +59,7 @@ struct Inner {
     /// What `UserSetLoad` loads; without it that command does nothing.
     delivered: Option<BTreeMap<(u32, Vec<u32>), u32>>,
     works_as: Option<Settings>,
+    bootstrap: Vec<(u32, u32)>,
 }
 
 /// A description, and the memory behind it.
@@ -103,7 +104,9 @@ impl Described {
     /// What its registers do, and hold; `delivered` is what the settings of delivery are, where they can be loaded.
     pub fn set(&self, facts: Facts, memory: Vec<Word>, delivered: Option<Vec<Word>>) {
         let map = |words: Vec<Word>| words.into_iter().map(|(at, behind, word)| ((at, behind), word)).collect();
-        *self.inner() = Inner { facts, memory: map(memory), delivered: delivered.map(map), works_as: None };
+        let mut inner = self.inner();
+        (inner.facts, inner.memory) = (facts, map(memory));
+        (inner.delivered, inner.works_as) = (delivered.map(map), None);
     }
 
     /// All words that were set or written.
@@ -115,6 +118,15 @@ impl Described {
     /// The way in which it takes frames from its next start on.
     pub fn work_as(&self, settings: Settings) {
         self.inner().works_as = Some(settings);
+    }
+
+    /// The registers of the standard as they were when somebody wrote last: address and word.
+    pub fn bootstrap(&self) -> Vec<(u32, u32)> {
+        self.inner().bootstrap.clone()
+    }
+
+    pub(super) fn note(&self, bootstrap: Vec<(u32, u32)>) {
+        self.inner().bootstrap = bootstrap;
     }
 
     pub(super) fn works_as(&self) -> Option<Settings> {
@@ -196,10 +208,6 @@ mod pairs {
         Ok(Vec::<(u32, Vec<u32>)>::deserialize(from)?.into_iter().collect())
     }
 }
-
-/// Values of its bootstrap registers, for whoever reads the description with the memory alone.
-#[derive(Debug, Clone, Serialize)]
-pub struct Bootstrap(pub Vec<(u32, u32)>);
 
 #[cfg(test)]
 mod tests {

@@ -31,11 +31,19 @@ impl Registers {
     /// Behind a published description, once it is switched on.
     #[must_use]
     pub fn behind(self, described: Option<Arc<Described>>) -> Self {
-        Self { described, ..self }
+        let registers = Self { described, ..self };
+        registers.note();
+        registers
     }
 
-    /// The bootstrap registers: address and word.
-    pub fn bootstrap(&self) -> Vec<(u32, u32)> {
+    /// Leaves its bootstrap registers with the description, for whoever reads the memory behind it.
+    pub fn note(&self) {
+        if let Some(described) = &self.described {
+            described.note(self.bootstrap());
+        }
+    }
+
+    fn bootstrap(&self) -> Vec<(u32, u32)> {
         let own = REGISTERS.iter().filter(|register| register.address < BOOTSTRAP_END);
         let words = own.flat_map(|r| (r.address..r.address + u32::from(r.length)).step_by(4));
         words.filter_map(|at| Some((at, u32::from_be_bytes(self.word(at)?)))).collect()
