@@ -9,7 +9,7 @@ OFF = (None, False, 0, "Off", "None", "False", "Disabled", "Manual", "Linear", "
 ON = (True, 1, "On", "True", "Enabled", "Enable")
 # Each must be off: what changes pixels, times or frames without a word.
 MUST_BE_OFF = (
-    "ExposureAuto", "GainAuto", "BlackLevelAuto", "GammaEnable", "GammaEnabled", "LUTEnable", "LUTMode", "ReverseX",
+    "ExposureAuto", "GainAuto", "BlackLevelAuto", "GammaEnable", "GammaEnabled", "LUTEnable", "ReverseX",
     "ReverseY", "SequencerMode", "SequenceEnable", "SequencerEnable", "SeqEnable", "BoSequencerEnable", "ChunkModeActive",
     "AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled", "TestPattern", "TestImageSelector", "TestImage",
     "TriggerDelayEnabled",

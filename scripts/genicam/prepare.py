@@ -33,6 +33,7 @@ class Preparation:
     def run(self):
         for name in self.features:
             self.be_there(name)
+        self.be_no_zero()
         for _ in range(2):
             for name in self.features:
                 self.have_room(name)
@@ -43,8 +44,22 @@ class Preparation:
             for name, value in wanted.items():
                 if name in self.camera.nodes and self.camera.get(name) != value:
                     self.deliver(name, value)
+        self.behind_triggers()
         self.seek(["PayloadSize"], ("pValue",), lambda: self.distance("PayloadSize", self.size[0] * self.size[1]),
                   [self.size[0] * self.size[1]])
+
+    def behind_triggers(self):
+        """What registers say of a trigger may lie behind it."""
+        before = self.camera.get("TriggerSelector")
+        for entry in self.camera.entries("TriggerSelector"):
+            if self.camera.put("TriggerSelector", entry, by_maker=True):
+                for name in [name for name in self.features if name.startswith("Trigger") and name != "TriggerSelector"]:
+                    self.be_there(name)
+                    self.be_valid(name)
+                    if name in DELIVERED and self.camera.get(name) != DELIVERED[name]:
+                        self.deliver(name, DELIVERED[name])
+        if before is not None:
+            self.camera.put("TriggerSelector", before, by_maker=True)
 
     def deliver(self, name, value):
         if not self.camera.put(name, value, by_maker=True) and isinstance(value, float):
@@ -55,7 +70,8 @@ class Preparation:
         found = self.camera.registers(names, kinds)
         if kinds != THERE:
             found += [name for name in names if tag(self.camera.nodes[name]) in REGISTERS]
-        found = [name for name in found if self.camera.is_read_only(name)]
+        # A bound is the camera's, whatever its register says.
+        found = [name for name in found if self.camera.is_read_only(name) or re.search("Min|Max|Inc", name)]
         return list(dict.fromkeys(found))
 
     def be_there(self, name):
@@ -72,6 +88,24 @@ class Preparation:
         if not self.is_there(name):
             self.seek(chain, THERE, lambda: 0 if self.is_there(name) else 1, [])
             self.seek(chain, THERE, lambda: 0 if self.is_there(name) else 1, [], only_read=False)
+
+    def be_no_zero(self):
+        """By steps and by what formulas divide by: no camera has zero there."""
+        divisors = []
+        for name in dict.fromkeys(below for feature in self.features for below in self.camera.below(feature)):
+            node = self.camera.nodes[name]
+            divisors += [ref for _, ref in self.camera.refs(name, ("pInc",))]
+            formulas = " ".join(part.text or "" for part in node if tag(part).startswith("Formula"))
+            by = re.findall(r"[/%]\s*\(?\s*([A-Za-z_]\w*)", formulas)
+            divisors += [part.text.strip() for part in node if tag(part) == "pVariable" and part.get("Name") in by]
+        for name in dict.fromkeys(divisors):
+            if self.camera.get(name) or name not in self.camera.nodes:
+                continue
+            own = [name] if tag(self.camera.nodes[name]) in REGISTERS else []
+            for register in own + self.camera.registers([name]):
+                node = self.camera.node(register, by_maker=True)
+                if is_number(node) and not self.is_fixed(node) and not self.camera.get(register):
+                    self.camera.put(register, 1.0 if isinstance(node, genapi.IFloat) else 1, by_maker=True)
 
     def is_there(self, name):
         return self.camera.access(name) not in (genapi.EAccessMode.NI, genapi.EAccessMode.NA)

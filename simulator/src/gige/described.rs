@@ -103,7 +103,8 @@ impl Described {
 
     /// What its registers do, and hold; `delivered` is what the settings of delivery are, where they can be loaded.
     pub fn set(&self, facts: Facts, memory: Vec<Word>, delivered: Option<Vec<Word>>) {
-        let map = |words: Vec<Word>| words.into_iter().map(|(at, behind, word)| ((at, behind), word)).collect();
+        let map =
+            |words: Vec<Word>| words.into_iter().map(|(at, behind, word)| ((at, behind), word)).collect();
         let mut inner = self.inner();
         (inner.facts, inner.memory) = (facts, map(memory));
         (inner.delivered, inner.works_as) = (delivered.map(map), None);
@@ -182,9 +183,10 @@ impl Inner {
             self.memory.insert(place, word);
             return Done::Nothing;
         };
-        // It is done when its bits are gone.
+        // It is done when its bits are other ones.
         let place = self.place(address);
-        self.memory.insert(place, word & !command.mask);
+        let done = if command.value == 0 { word | command.mask } else { word & !command.mask };
+        self.memory.insert(place, done);
         match command.does {
             Does::Start => return Done::Start,
             Does::Stop => return Done::Stop,

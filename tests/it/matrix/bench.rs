@@ -112,13 +112,18 @@ impl Bench {
     }
 
     /// Reads a memory, and says what of it is not as it was asked for.
-    pub fn judge(&mut self, described: &Described, line: Option<&str>) -> Result<Judged, String> {
+    pub fn judge(
+        &mut self,
+        described: &Described,
+        line: Option<&str>,
+        packet: Option<u32>,
+    ) -> Result<Judged, String> {
         self.ask(&json!({
             "bootstrap": described.bootstrap(),
             "memory": described.memory(),
             "asked": {
                 "line": line, "edges": ["risingedge", "rising", "positiveedge", "activehigh"],
-                "exposure_us": EXPOSURE_US, "tolerance_us": 20.0, "size": [SIZE.0, SIZE.1], "packet": null,
+                "exposure_us": EXPOSURE_US, "tolerance_us": 20.0, "size": [SIZE.0, SIZE.1], "packet": packet,
             },
         }))
     }
@@ -141,6 +146,9 @@ impl Bench {
             let _ = std::io::Read::read_to_string(&mut error, &mut text);
         }
         let last = text.lines().last().unwrap_or_default();
-        format!("the other implementation cannot open it: {last} {}", line.chars().take(200).collect::<String>())
+        format!(
+            "the other implementation cannot open it: {last} {}",
+            line.chars().take(200).collect::<String>()
+        )
     }
 }

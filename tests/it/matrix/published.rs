@@ -4,19 +4,28 @@
 //!
 //! `make matrix DESCRIPTIONS=DIR` runs all files of DIR; without it those in `tests/it/data/descriptions` are run, which are ours.
 
-use super::bench::{Bench, Prepared, python};
-use super::{EXPOSURE_US, End, SIZE, figures, is_helpful, write_summary};
+use super::bench::{Bench, Judged, Prepared, python};
+use super::{CAMERAS, EXPOSURE_US, End, RATE_HZ, SIZE, TRIGGERS};
+use super::{figures, in_doubt, is_helpful, judge, write_summary};
+use crate::lab::{fourdbody, options, rig_of, say, start, start_nodes, text_of};
 use fourdbody::camera::profile::Link;
 use fourdbody::camera::{AravisCameras, CameraBackend, CameraError, Wishes};
 use fourdbody::config::CameraWords;
+use fourdbody::data::FrameSource;
+use fourdbody::record::SessionReader;
 use fourdbody_simulator::gige::described::Word;
+use fourdbody_simulator::gige::settings::{Edge, Settings, TriggerSource};
 use fourdbody_simulator::gige::{CameraOptions, Described, SimulatedCamera, TestImages};
 use fourdbody_simulator::images::ImageSource;
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// The state of a camera that nobody has used.
+const NEW: &str = "new";
 
 /// What became of one description in one state.
 struct Case {
@@ -39,7 +48,8 @@ fn descriptions() -> Vec<PathBuf> {
     let entries = std::fs::read_dir(&dir).unwrap_or_else(|error| panic!("{}: {error}", dir.display()));
     let mut files: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
     let is_one = |path: &PathBuf| {
-        path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("xml") || ending.eq_ignore_ascii_case("zip"))
+        path.extension()
+            .is_some_and(|ending| ending.eq_ignore_ascii_case("xml") || ending.eq_ignore_ascii_case("zip"))
     };
     files.retain(is_one);
     files.sort();
@@ -90,7 +100,7 @@ fn run_state(
     match set_up(described, address, line) {
         Err(refusal) if is_helpful(&refusal) => (End::Refused(refusal), false),
         Err(refusal) => (End::Unclear(refusal), false),
-        Ok(()) => match bench.judge(described, line) {
+        Ok(()) => match bench.judge(described, line, None) {
             Ok(judged) if judged.wrong.is_empty() => {
                 assert!(judged.found.contains_key("triggers"), "it says what it found");
                 (End::Right, true)
@@ -101,13 +111,23 @@ fn run_state(
     }
 }
 
-fn run_description(python: &Path, file: &Path, number: u8, cases: &mut Vec<Case>) {
+/// One that was set up right as a new one, and can record.
+struct Ready {
+    description: String,
+    make: String,
+    bench: Bench,
+    described: Arc<Described>,
+    prepared: Prepared,
+}
+
+fn run_description(python: &Path, file: &Path, number: u8, cases: &mut Vec<Case>) -> Option<Ready> {
     let description = file.file_name().expect("a name").to_string_lossy().into_owned();
     let (mut bench, prepared) = match Bench::open(python, file) {
         Ok(opened) => opened,
         Err(error) => {
-            let (make, state) = ("no GenICam".to_owned(), "new".to_owned());
-            return cases.push(Case { description, state, make, end: End::Unclear(error), judged: false });
+            let (make, state) = ("no GenICam".to_owned(), NEW.to_owned());
+            cases.push(Case { description, state, make, end: End::Unclear(error), judged: false });
+            return None;
         }
     };
     let vendor = prepared.about.vendor.as_deref().unwrap_or("?");
@@ -116,21 +136,86 @@ fn run_description(python: &Path, file: &Path, number: u8, cases: &mut Vec<Case>
     let new = prepared.memory.as_slice();
     // Its own user set would bring back what was left: only the program can mend it.
     let left = prepared.left.iter().map(|left| (left.name.as_str(), (left.memory.as_slice(), None)));
-    let all = prepared.left.last().map(|left| ("everything, and delivered", (left.memory.as_slice(), Some(new))));
-    for (state, words) in [("new", (new, Some(new)))].into_iter().chain(left).chain(all) {
+    let all =
+        prepared.left.last().map(|left| ("everything, and delivered", (left.memory.as_slice(), Some(new))));
+    let mut is_ready = false;
+    for (state, words) in [(NEW, (new, Some(new)))].into_iter().chain(left).chain(all) {
         let address = Ipv4Addr::new(127, 0, 229, 1 + number);
         let (end, judged) = run_state(&mut bench, &described, &prepared, words, address);
+        is_ready |= state == NEW && end == End::Right;
         if end != End::Right {
             println!("{description}, {state}: {end:?}");
         }
-        cases.push(Case {
-            description: description.clone(),
-            state: state.to_owned(),
-            make: make.clone(),
-            end,
-            judged,
-        });
+        let (description, state, make) = (description.clone(), state.to_owned(), make.clone());
+        cases.push(Case { description, state, make, end, judged });
     }
+    is_ready.then_some(Ready { description, make, bench, described, prepared })
+}
+
+/// The way in which a camera takes frames whose registers say this.
+fn working(judged: &Judged, line: Option<&str>) -> Settings {
+    let number = |name: &str| judged.found.get(name).and_then(Value::as_f64);
+    let size = |name: &str, otherwise: usize| number(name).map_or(otherwise as u32, |number| number as u32);
+    let exposure_us = number("exposure_us").unwrap_or(EXPOSURE_US);
+    let mut settings =
+        Settings::new(size("Width", SIZE.0), size("Height", SIZE.1)).with_times(exposure_us, 100.0);
+    let triggers = judged.found.get("triggers").and_then(Value::as_object);
+    if let Some(trigger) = triggers.and_then(|on| on.values().next()) {
+        settings.triggered = true;
+        let source = trigger["TriggerSource"].as_str();
+        settings.source = if source == line { TriggerSource::Line0 } else { TriggerSource::Software };
+        let edge = trigger["TriggerActivation"].as_str().unwrap_or("RisingEdge");
+        settings.edge = if edge.starts_with("Falling") { Edge::Falling } else { Edge::Rising };
+    }
+    settings.picture.offset = (size("OffsetX", 0), size("OffsetY", 0));
+    settings
+}
+
+/// A session of up to eight of them, that work as their registers say after a set-up alone.
+fn record(group: &mut [Ready], subnet: u8) -> Vec<(End, bool)> {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    for (number, ready) in (1..).zip(group.iter_mut()) {
+        let Ready { bench, described, prepared, .. } = ready;
+        let (new, line) = (&prepared.memory, prepared.line.as_deref());
+        described.set(prepared.facts.clone(), new.clone(), Some(new.clone()));
+        set_up(described, Ipv4Addr::new(127, 0, 228, number), line).expect("as it could be before");
+        let judged = bench.judge(described, line, None).expect("as it could be before");
+        described.set(prepared.facts.clone(), new.clone(), Some(new.clone()));
+        described.work_as(working(&judged, line));
+    }
+    let named = || CAMERAS.iter().zip(group.iter());
+    let mut options = options(rig_of(RATE_HZ, SIZE), dir.path(), subnet);
+    options.described = named().map(|(id, ready)| ((*id).to_owned(), Arc::clone(&ready.described))).collect();
+    let laboratory = start(&options, SIZE);
+    for (place, (id, ready)) in named().enumerate() {
+        let file = &laboratory.nodes[place / 4].path;
+        if let Some(line) = &ready.prepared.line {
+            say(file, id, &format!("trigger_line = {line:?}"));
+        }
+        say(file, id, &format!("exposure_us = {EXPOSURE_US:?}"));
+    }
+    let mut nodes = start_nodes(&laboratory);
+    let triggers = TRIGGERS.to_string();
+    let captured =
+        fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", &triggers, "--name", "matrix"]);
+    nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+    let Ok(reader) = SessionReader::open(&dir.path().join("sessions/matrix")) else {
+        let text = text_of(&captured);
+        return group.iter().map(|_| (End::Told(format!("no session: {text}")), false)).collect();
+    };
+    let packet = Some(options.packet_bytes);
+    let ends = group.iter_mut().zip(1..).zip(reader.cameras()).map(|((ready, number), camera)| {
+        let after = ready.bench.judge(&ready.described, ready.prepared.line.as_deref(), packet);
+        match (judge(&reader, camera, number, SIZE), after) {
+            ((Some(wrong), _), _) => (End::SilentlyWrong(wrong), true),
+            (_, Ok(after)) if !after.wrong.is_empty() => (End::SilentlyWrong(after.wrong.join("; ")), true),
+            (_, Err(error)) => (End::Unclear(error), false),
+            ((None, gaps), _) if !gaps.is_empty() => (End::Told(gaps.join(", ")), true),
+            _ if in_doubt(&reader, camera) => (End::Told("in doubt".to_owned()), true),
+            _ => (End::Right, true),
+        }
+    });
+    ends.collect()
 }
 
 /// Descriptions by make, as new ones and in all states: right, refused by name, unclear, silently wrong.
@@ -145,13 +230,17 @@ fn table(cases: &[Case]) -> String {
         };
         let row = makes.entry(&case.make).or_default();
         row[1][column] += 1;
-        if case.state == "new" {
+        if case.state == NEW {
             row[0][column] += 1;
         }
     }
-    let mut text = String::from("| make | descriptions | right | refused | unclear | wrong | states | right | refused | unclear | wrong |\n|---|---|---|---|---|---|---|---|---|---|---|\n");
+    let mut text = String::from(
+        "| make | descriptions | right | refused | unclear | wrong | states | right | refused | unclear | wrong |\n|---|---|---|---|---|---|---|---|---|---|---|\n",
+    );
     for (make, [new, all]) in makes {
-        let cells = |of: [usize; 4]| format!("{} | {} | {} | {} | {}", of.iter().sum::<usize>(), of[0], of[1], of[2], of[3]);
+        let cells = |of: [usize; 4]| {
+            format!("{} | {} | {} | {} | {}", of.iter().sum::<usize>(), of[0], of[1], of[2], of[3])
+        };
         let _ = writeln!(text, "| {make} | {} | {} |", cells(new), cells(all));
     }
     text
@@ -161,13 +250,28 @@ fn table(cases: &[Case]) -> String {
 fn published_descriptions_are_set_right_by_another_implementation() {
     let Some(python) = python() else { return };
     let mut cases = Vec::new();
-    for (number, file) in (0u8..=250).cycle().zip(descriptions()) {
-        run_description(&python, &file, number % 250, &mut cases);
+    let files: Vec<(u8, PathBuf)> = (0u8..250).cycle().zip(descriptions()).collect();
+    for (number, files) in files.chunks(8).enumerate() {
+        let tried =
+            files.iter().filter_map(|(number, file)| run_description(&python, file, *number, &mut cases));
+        let mut ready: Vec<Ready> = tried.collect();
+        if ready.is_empty() {
+            continue;
+        }
+        let ends = record(&mut ready, 222 + (number % 5) as u8);
+        for (Ready { description, make, .. }, (end, judged)) in ready.into_iter().zip(ends) {
+            if end != End::Right {
+                println!("{description}, recorded: {end:?}");
+            }
+            cases.push(Case { description, state: "recorded".to_owned(), make, end, judged });
+        }
     }
     let table = table(&cases);
     println!("{table}");
-    let ends: Vec<(String, End)> =
-        cases.iter().map(|case| (format!("{}, {}", case.description, case.state), case.end.clone())).collect();
+    let ends: Vec<(String, End)> = cases
+        .iter()
+        .map(|case| (format!("{}, {}", case.description, case.state), case.end.clone()))
+        .collect();
     let judged = cases.iter().filter(|case| case.judged).count();
     let figures = figures(&ends, judged);
     println!("{figures:#}");
