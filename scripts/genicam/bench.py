@@ -2,7 +2,8 @@
 """bench.py DESCRIPTION WIDTH HEIGHT: prepares a camera behind it, and judges its memory; JSON by lines.
 
 First {"bootstrap": [[address, word]]} comes in, and the camera goes out: facts, memory, and what may be left over. Then for
-each {"bootstrap", "memory": [[address, [selectors], word]], "asked": {...}} goes out what is found and what is wrong.
+each {"bootstrap", "memory": [[address, [selectors], word]], "asked": {...}} goes out what is found and what is wrong; with
+"leave", after somebody has left that.
 """
 import json
 import sys
@@ -12,6 +13,8 @@ import judge
 import left_over
 from description import Description, kind
 from prepare import Preparation
+
+ALL = "everything at once"
 
 
 def words(memory):
@@ -45,7 +48,7 @@ def main():
         memory.words = dict(new)
         camera.forget()
     if [left_over.leave(camera, settings) for _, settings in left_over.WAYS].count(True) > 1:
-        left.append({"name": "everything at once", "memory": words(memory)})
+        left.append({"name": ALL, "memory": words(memory)})
     memory.words = dict(new)
     camera.forget()
     names = ("ModelName", "VendorName", "StandardNameSpace")
@@ -57,6 +60,9 @@ def main():
         memory.words = {(at, tuple(behind)): word for at, behind, word in request["memory"]}
         memory.words.update({(at, ()): word for at, word in request["bootstrap"]})
         camera.forget()
+        if "leave" in request:
+            wanted = [settings for name, settings in left_over.WAYS if request["leave"] in (name, ALL)]
+            [left_over.leave(camera, settings) for settings in wanted]
         answer(judge.judge(camera, request["asked"]))
 
 

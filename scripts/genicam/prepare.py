@@ -28,7 +28,8 @@ BOUNDS = ("pMin", "pMax", "pInc")
 class Preparation:
     def __init__(self, camera, size):
         self.camera, self.size = camera, size
-        self.features = [name for name in walk(camera, "Root", set()) if MATTERS.search(name)]
+        self.all = list(walk(camera, "Root", set()))
+        self.features = [name for name in self.all if MATTERS.search(name)]
 
     def run(self):
         for name in self.features:
@@ -44,6 +45,8 @@ class Preparation:
             for name, value in wanted.items():
                 if name in self.camera.nodes and self.camera.get(name) != value:
                     self.deliver(name, value)
+        for name in self.all:
+            self.be_valid(name)
         self.behind_triggers()
         self.seek(["PayloadSize"], ("pValue",), lambda: self.distance("PayloadSize", self.size[0] * self.size[1]),
                   [self.size[0] * self.size[1]])
@@ -149,7 +152,7 @@ class Preparation:
         """A value that is none becomes the first one that is."""
         camera = self.camera
         node = camera.node(name, by_maker=True)
-        if not self.is_there(name) or camera.is_read_only(name):
+        if not self.is_there(name):
             return
         try:
             if isinstance(node, genapi.IEnumeration):

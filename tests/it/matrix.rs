@@ -97,6 +97,8 @@ enum End {
     Refused(String),
     /// Refused without feature, value or remedy.
     Unclear(String),
+    /// The product panicked, or its node did not come to an end.
+    Crashed(String),
     /// Frames are missing, and the recording says which and why.
     Told(String),
     SilentlyWrong(String),
@@ -390,6 +392,7 @@ fn figures(ends: &[(String, End)], judged_by_another: usize) -> Value {
         "told_gaps": count(|end| matches!(end, End::Told(_))),
         "silently_wrong": count(|end| matches!(end, End::SilentlyWrong(_))),
         "unclear": count(|end| matches!(end, End::Unclear(_))),
+        "crashes": count(|end| matches!(end, End::Crashed(_))),
         "judged_by_another": judged_by_another,
     })
 }

@@ -118,14 +118,20 @@ impl Bench {
         line: Option<&str>,
         packet: Option<u32>,
     ) -> Result<Judged, String> {
-        self.ask(&json!({
-            "bootstrap": described.bootstrap(),
-            "memory": described.memory(),
-            "asked": {
-                "line": line, "edges": ["risingedge", "rising", "positiveedge", "activehigh"],
-                "exposure_us": EXPOSURE_US, "tolerance_us": 20.0, "size": [SIZE.0, SIZE.1], "packet": packet,
-            },
-        }))
+        let question = question(described, line, packet);
+        self.ask(&question)
+    }
+
+    /// The same after somebody has left it so.
+    pub fn judge_after(
+        &mut self,
+        described: &Described,
+        line: Option<&str>,
+        way: &str,
+    ) -> Result<Judged, String> {
+        let mut question = question(described, line, None);
+        question["leave"] = json!(way);
+        self.ask(&question)
     }
 
     fn ask<T: for<'de> Deserialize<'de>>(&mut self, question: &Value) -> Result<T, String> {
@@ -151,4 +157,15 @@ impl Bench {
             line.chars().take(200).collect::<String>()
         )
     }
+}
+
+fn question(described: &Described, line: Option<&str>, packet: Option<u32>) -> Value {
+    json!({
+        "bootstrap": described.bootstrap(),
+        "memory": described.memory(),
+        "asked": {
+            "line": line, "edges": ["risingedge", "rising", "positiveedge", "activehigh"],
+            "exposure_us": EXPOSURE_US, "tolerance_us": 20.0, "size": [SIZE.0, SIZE.1], "packet": packet,
+        },
+    })
 }

@@ -21,6 +21,7 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::net::Ipv4Addr;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -36,10 +37,22 @@ struct Case {
     judged: bool,
 }
 
+/// A selector changes no frame.
+const SEEN_BY_NOBODY: &str = "another user set";
+
+fn asked_for() -> Option<PathBuf> {
+    std::env::var_os("FOURDBODY_DESCRIPTIONS").filter(|dir| !dir.is_empty()).map(PathBuf::from)
+}
+
+/// Whether the descriptions are ours.
+fn is_own() -> bool {
+    asked_for().is_none()
+}
+
 fn descriptions() -> Vec<PathBuf> {
     let own = || Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/it/data/descriptions");
-    let dir = match std::env::var_os("FOURDBODY_DESCRIPTIONS").filter(|dir| !dir.is_empty()) {
-        Some(dir) => PathBuf::from(dir),
+    let dir = match asked_for() {
+        Some(dir) => dir,
         None => {
             println!("skipped: published descriptions (make matrix DESCRIPTIONS=DIR); ours alone are run");
             own()
@@ -70,21 +83,46 @@ fn wishes(line: Option<&str>) -> Wishes {
     }
 }
 
-/// Sets the camera up over the network; else why that cannot be, in the node's own words.
-fn set_up(described: &Arc<Described>, address: Ipv4Addr, line: Option<&str>) -> Result<(), String> {
+/// What a panic said.
+fn words_of(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().cloned();
+    text.or_else(|| panic.downcast_ref::<&str>().map(|text| (*text).to_owned())).unwrap_or_default()
+}
+
+/// What a node does with a camera before a session.
+#[derive(Clone, Copy)]
+enum Step {
+    SetUp,
+    ReadState,
+}
+
+/// Does it over the network; else why that cannot be, in the node's own words.
+fn do_alone(
+    what: Step,
+    described: &Arc<Described>,
+    address: Ipv4Addr,
+    line: Option<&str>,
+) -> Result<(), End> {
     let images = Arc::new(TestImages::new(SIZE.0, SIZE.1, 1, 8));
     let mut camera = CameraOptions::new("PUBLISHED", address, images as Arc<dyn ImageSource>);
     camera.described = Some(Arc::clone(described));
-    let simulated = SimulatedCamera::start(camera).expect("its address is free");
-    let mut opened = AravisCameras.open(&address.to_string()).map_err(|error| error.to_string())?;
-    let outcome = match opened.set_up(&wishes(line)) {
-        Ok(_) => Ok(()),
-        Err(CameraError::SetUp { problems }) => Err(problems.join("\n")),
-        Err(error) => Err(error.to_string()),
-    };
-    drop(opened);
-    drop(simulated);
-    outcome
+    let _simulated = SimulatedCamera::start(camera).expect("its address is free");
+    let done = catch_unwind(|| {
+        let mut opened = AravisCameras.open(&address.to_string())?;
+        match what {
+            Step::SetUp => opened.set_up(&wishes(line)).map(drop),
+            Step::ReadState => opened.state().map(drop),
+        }
+    });
+    match done {
+        Ok(Ok(_)) => Ok(()),
+        Ok(Err(CameraError::SetUp { problems })) => {
+            let refusal = problems.join("\n");
+            Err(if is_helpful(&refusal) { End::Refused(refusal) } else { End::Unclear(refusal) })
+        }
+        Ok(Err(error)) => Err(End::Unclear(error.to_string())),
+        Err(panic) => Err(End::Crashed(words_of(&*panic))),
+    }
 }
 
 fn run_state(
@@ -97,9 +135,8 @@ fn run_state(
     let (memory, delivered) = state;
     described.set(prepared.facts.clone(), memory.to_vec(), delivered.map(<[Word]>::to_vec));
     let line = prepared.line.as_deref();
-    match set_up(described, address, line) {
-        Err(refusal) if is_helpful(&refusal) => (End::Refused(refusal), false),
-        Err(refusal) => (End::Unclear(refusal), false),
+    match do_alone(Step::SetUp, described, address, line) {
+        Err(end) => (end, false),
         Ok(()) => match bench.judge(described, line, None) {
             Ok(judged) if judged.wrong.is_empty() => {
                 assert!(judged.found.contains_key("triggers"), "it says what it found");
@@ -120,13 +157,21 @@ struct Ready {
     prepared: Prepared,
 }
 
+/// Notes a case, and says what is not right.
+fn note(cases: &mut Vec<Case>, description: &str, state: &str, make: &str, (end, judged): (End, bool)) {
+    if end != End::Right {
+        println!("{description}, {state}: {end:?}");
+    }
+    let (description, state, make) = (description.to_owned(), state.to_owned(), make.to_owned());
+    cases.push(Case { description, state, make, end, judged });
+}
+
 fn run_description(python: &Path, file: &Path, number: u8, cases: &mut Vec<Case>) -> Option<Ready> {
     let description = file.file_name().expect("a name").to_string_lossy().into_owned();
     let (mut bench, prepared) = match Bench::open(python, file) {
         Ok(opened) => opened,
         Err(error) => {
-            let (make, state) = ("no GenICam".to_owned(), NEW.to_owned());
-            cases.push(Case { description, state, make, end: End::Unclear(error), judged: false });
+            note(cases, &description, NEW, "no GenICam", (End::Unclear(error), false));
             return None;
         }
     };
@@ -140,14 +185,26 @@ fn run_description(python: &Path, file: &Path, number: u8, cases: &mut Vec<Case>
         prepared.left.last().map(|left| ("everything, and delivered", (left.memory.as_slice(), Some(new))));
     let mut is_ready = false;
     for (state, words) in [(NEW, (new, Some(new)))].into_iter().chain(left).chain(all) {
-        let address = Ipv4Addr::new(127, 0, 229, 1 + number);
+        let address = Ipv4Addr::new(127, 0, 220, 1 + number);
         let (end, judged) = run_state(&mut bench, &described, &prepared, words, address);
         is_ready |= state == NEW && end == End::Right;
-        if end != End::Right {
-            println!("{description}, {state}: {end:?}");
+        if state == NEW && is_own() {
+            for left in prepared.left.iter().filter(|left| left.name != SEEN_BY_NOBODY) {
+                let line = prepared.line.as_deref();
+                let judged = bench.judge_after(&described, line, &left.name).expect("it reads");
+                assert!(!judged.wrong.is_empty(), "{description}: the judge does not see {}", left.name);
+            }
         }
-        let (description, state, make) = (description.clone(), state.to_owned(), make.clone());
-        cases.push(Case { description, state, make, end, judged });
+        if state == NEW {
+            let end = match do_alone(Step::ReadState, &described, address, None) {
+                Ok(()) => End::Right,
+                Err(end) => end,
+            };
+            // One that cannot be read cannot record.
+            is_ready &= end == End::Right;
+            note(cases, &description, "all its state", &make, (end, false));
+        }
+        note(cases, &description, state, &make, (end, judged));
     }
     is_ready.then_some(Ready { description, make, bench, described, prepared })
 }
@@ -178,7 +235,9 @@ fn record(group: &mut [Ready], subnet: u8) -> Vec<(End, bool)> {
         let Ready { bench, described, prepared, .. } = ready;
         let (new, line) = (&prepared.memory, prepared.line.as_deref());
         described.set(prepared.facts.clone(), new.clone(), Some(new.clone()));
-        set_up(described, Ipv4Addr::new(127, 0, 228, number), line).expect("as it could be before");
+        do_alone(Step::SetUp, described, Ipv4Addr::new(127, 0, 219, number), line)
+            .map_err(|end| format!("{end:?}"))
+            .expect("as it could be before");
         let judged = bench.judge(described, line, None).expect("as it could be before");
         described.set(prepared.facts.clone(), new.clone(), Some(new.clone()));
         described.work_as(working(&judged, line));
@@ -220,13 +279,14 @@ fn record(group: &mut [Ready], subnet: u8) -> Vec<(End, bool)> {
 
 /// Descriptions by make, as new ones and in all states: right, refused by name, unclear, silently wrong.
 fn table(cases: &[Case]) -> String {
-    let mut makes: BTreeMap<&str, [[usize; 4]; 2]> = BTreeMap::new();
+    let mut makes: BTreeMap<&str, [[usize; 5]; 2]> = BTreeMap::new();
     for case in cases {
         let column = match case.end {
             End::Right => 0,
             End::Refused(_) | End::Told(_) => 1,
             End::Unclear(_) => 2,
             End::SilentlyWrong(_) => 3,
+            End::Crashed(_) => 4,
         };
         let row = makes.entry(&case.make).or_default();
         row[1][column] += 1;
@@ -235,11 +295,19 @@ fn table(cases: &[Case]) -> String {
         }
     }
     let mut text = String::from(
-        "| make | descriptions | right | refused | unclear | wrong | states | right | refused | unclear | wrong |\n|---|---|---|---|---|---|---|---|---|---|---|\n",
+        "| make | descriptions | right | refused | unclear | wrong | crashed | states | right | refused | unclear | wrong | crashed |\n|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
     for (make, [new, all]) in makes {
-        let cells = |of: [usize; 4]| {
-            format!("{} | {} | {} | {} | {}", of.iter().sum::<usize>(), of[0], of[1], of[2], of[3])
+        let cells = |of: [usize; 5]| {
+            format!(
+                "{} | {} | {} | {} | {} | {}",
+                of.iter().sum::<usize>(),
+                of[0],
+                of[1],
+                of[2],
+                of[3],
+                of[4]
+            )
         };
         let _ = writeln!(text, "| {make} | {} | {} |", cells(new), cells(all));
     }
@@ -258,12 +326,14 @@ fn published_descriptions_are_set_right_by_another_implementation() {
         if ready.is_empty() {
             continue;
         }
-        let ends = record(&mut ready, 222 + (number % 5) as u8);
+        let recorded = catch_unwind(AssertUnwindSafe(|| record(&mut ready, 242 + (number % 4) as u8)));
+        let crashed = |panic: Box<dyn std::any::Any + Send>| {
+            let words: String = words_of(&*panic).chars().take(200).collect();
+            ready.iter().map(|_| (End::Crashed(format!("one of a session: {words}")), false)).collect()
+        };
+        let ends: Vec<(End, bool)> = recorded.unwrap_or_else(crashed);
         for (Ready { description, make, .. }, (end, judged)) in ready.into_iter().zip(ends) {
-            if end != End::Right {
-                println!("{description}, recorded: {end:?}");
-            }
-            cases.push(Case { description, state: "recorded".to_owned(), make, end, judged });
+            note(&mut cases, &description, "recorded", &make, (end, judged));
         }
     }
     let table = table(&cases);
@@ -281,11 +351,11 @@ fn published_descriptions_are_set_right_by_another_implementation() {
     }
     let wrong: Vec<String> = ends
         .iter()
-        .filter(|(_, end)| matches!(end, End::SilentlyWrong(_)))
+        .filter(|(_, end)| matches!(end, End::SilentlyWrong(_) | End::Crashed(_)))
         .map(|(name, end)| format!("{name}: {end:?}"))
         .collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
-    if std::env::var_os("FOURDBODY_DESCRIPTIONS").is_none_or(|dir| dir.is_empty()) {
+    if is_own() {
         // Ours are made so that all is right.
         assert!(ends.iter().all(|(_, end)| *end == End::Right), "{ends:?}");
     }
