@@ -183,21 +183,21 @@ impl Inner {
             self.memory.insert(place, word);
             return Done::Nothing;
         };
+        // What is loaded is there before the command is done.
+        if command.does == Does::Load
+            && let Some(delivered) = &self.delivered
+        {
+            self.memory.clone_from(delivered);
+        }
         // It is done when its bits are other ones.
         let place = self.place(address);
         let done = if command.value == 0 { word | command.mask } else { word & !command.mask };
         self.memory.insert(place, done);
         match command.does {
-            Does::Start => return Done::Start,
-            Does::Stop => return Done::Stop,
-            Does::Load => {
-                if let Some(delivered) = &self.delivered {
-                    self.memory.clone_from(delivered);
-                }
-            }
-            Does::Nothing => {}
+            Does::Start => Done::Start,
+            Does::Stop => Done::Stop,
+            Does::Load | Does::Nothing => Done::Nothing,
         }
-        Done::Nothing
     }
 }
 
