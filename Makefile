@@ -39,10 +39,14 @@ packages:
 READERS := mcap==1.6.0 mcap-protobuf-support==0.5.3 numpy==2.4.6 trimesh==5.2.0 plyfile==1.1.5 pypcd4==1.5.1 \
 	pye57==0.4.19 pygltflib==1.16.5 pillow==13.0.0 tifffile==2026.3.3
 
+# EMVA's reference of GenICam, which says what a camera's registers really hold.
+GENICAM := genicam==1.6.0
+
 # Third parties that the tests talk to; a test whose program is absent says so and is skipped.
 test-packages: packages
 	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark chromium chromium-driver slurm-wlm munge
 	@scripts/make-venv.sh tests/.venv $(READERS)
+	@scripts/make-venv.sh tests/.venv-genicam $(GENICAM)
 	@scripts/install-tool.sh s3s-fs 0.14.1 --debug --features binary
 
 demo: packages
@@ -96,9 +100,13 @@ bench-play: demo
 bench-worker: demo
 	scripts/bench-worker.sh
 
-# Every table of a real camera in every state: target/matrix/summary.json.
+# Every table of a real camera in every state: target/matrix/summary.json. DESCRIPTIONS=DIR: published descriptions, XML or
+# zipped, too; what is set is judged by EMVA's own GenApi, and by make in target/matrix/makes.md.
+DESCRIPTIONS ?=
 matrix: packages
-	FOURDBODY_MATRIX=$(CURDIR)/target/matrix/summary.json \
+	@scripts/install-packages.sh python3-venv
+	@scripts/make-venv.sh tests/.venv-genicam $(GENICAM)
+	FOURDBODY_MATRIX=$(CURDIR)/target/matrix/summary.json FOURDBODY_DESCRIPTIONS=$(abspath $(DESCRIPTIONS)) \
 	  $(CARGO) test -p fourdbody --test it -- matrix:: --nocapture
 
 poses: packages

@@ -4,7 +4,9 @@
 
 use crate::disk::{DiskPlan, SimulatedDisk};
 use crate::faults::{CameraFaults, FaultPlan, HsuFaults, TruthLog};
-use crate::gige::{ActionFilter, CameraError, CameraOptions, ClockOptions, Habits, Make, SimulatedCamera};
+use crate::gige::{
+    ActionFilter, CameraError, CameraOptions, ClockOptions, Described, Habits, Make, SimulatedCamera,
+};
 use crate::hsu::{HsuOptions, LtcSource, SimulatedHsu};
 use crate::images::ImageSource;
 use crossbeam_channel::unbounded;
@@ -47,6 +49,8 @@ pub struct LaboratoryOptions {
     pub habits: BTreeMap<String, Habits>,
     /// Makes that cameras are like, by the cameras' names; the others are the simulator's own.
     pub makes: BTreeMap<String, Arc<Make>>,
+    /// Published descriptions that cameras are behind, by the cameras' names.
+    pub described: BTreeMap<String, Arc<Described>>,
     /// Node files say what such cameras need, as somebody writes it who knows them; else tests or commands must.
     pub make_words: bool,
     /// Faults of the cameras; what was injected is written to `faults.jsonl` in the run directory.
@@ -91,6 +95,7 @@ impl LaboratoryOptions {
             packet_bytes: 9000,
             habits: BTreeMap::new(),
             makes: BTreeMap::new(),
+            described: BTreeMap::new(),
             make_words: true,
             faults: None,
             disk: None,
@@ -192,7 +197,8 @@ impl Laboratory {
             setup.habits = options.habits.get(camera.id.as_str()).copied().unwrap_or_default();
             setup.action_fates = options.action_fates.get(camera.id.as_str()).cloned();
             setup.make = options.makes.get(camera.id.as_str()).cloned();
-            if setup.make.is_some() {
+            setup.described = options.described.get(camera.id.as_str()).cloned();
+            if setup.make.is_some() || setup.described.is_some() {
                 setup.habits.nominal = Some(Duration::from_nanos(head.exposure_ns));
             }
             // Every clock of its own, as in the laboratory.
@@ -383,7 +389,9 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[Nod
             continue;
         }
         let words = match options.makes.get(camera.id.as_str()) {
-            None if options.trigger.is_some() => String::new(),
+            None if options.trigger.is_some() || options.described.contains_key(camera.id.as_str()) => {
+                String::new()
+            }
             None => OWN_WORDS.to_owned(),
             Some(make) if options.make_words => make.session_words(),
             Some(_) => String::new(),

@@ -4,6 +4,9 @@
 //!
 //! `make matrix` runs all of it; without `FOURDBODY_MATRIX` a part is run.
 
+mod bench;
+mod published;
+
 use crate::lab::{fourdbody, options, rig_of, say, start, start_nodes, text_of};
 use crate::profiles::{Table, all_tables, tables};
 use fourdbody::base::ids::{CameraId, TriggerIndex};
@@ -22,7 +25,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// Narrower sensors are not what any table allows.
@@ -93,6 +96,10 @@ fn stamps() -> [(&'static str, Habits); 4] {
 enum End {
     Right,
     Refused(String),
+    /// Refused without feature, value or remedy.
+    Unclear(String),
+    /// The product panicked, or its node did not come to an end.
+    Crashed(String),
     /// Frames are missing, and the recording says which and why.
     Told(String),
     SilentlyWrong(String),
@@ -406,6 +413,48 @@ fn record(group: &[Case], subnet: u8, dir: &Path) -> Vec<End> {
     ends.collect()
 }
 
+/// Where `make matrix` wants its figures.
+fn summary() -> Option<PathBuf> {
+    std::env::var_os("FOURDBODY_MATRIX").map(PathBuf::from)
+}
+
+/// How many cases had which end.
+fn figures(ends: &[(String, End)], judged_by_another: usize) -> Value {
+    let count = |is: fn(&End) -> bool| ends.iter().filter(|(_, end)| is(end)).count();
+    json!({
+        "cases": ends.len(),
+        "complete_and_right": count(|end| *end == End::Right),
+        "refused": count(|end| matches!(end, End::Refused(_))),
+        "told_gaps": count(|end| matches!(end, End::Told(_))),
+        "silently_wrong": count(|end| matches!(end, End::SilentlyWrong(_))),
+        "unclear": count(|end| matches!(end, End::Unclear(_))),
+        "crashes": count(|end| matches!(end, End::Crashed(_))),
+        "judged_by_another": judged_by_another,
+    })
+}
+
+/// Adds the figures of one part to the summary, and writes down what became of each of its cases.
+fn write_summary(part: &str, ends: &[(String, End)], figures: &Value) {
+    static PARTS: Mutex<BTreeMap<String, Value>> = Mutex::new(BTreeMap::new());
+    let Some(summary) = summary() else { return };
+    let dir = summary.parent().expect("a folder");
+    std::fs::create_dir_all(dir).expect("writable");
+    let lines: String = ends.iter().map(|(name, end)| format!("{name}\t{end:?}\n")).collect();
+    std::fs::write(dir.join(format!("{part}.txt")), lines).expect("writable");
+    let mut parts = PARTS.lock().expect("no part fails while it writes");
+    parts.insert(part.to_owned(), figures.clone());
+    let mut whole = json!({
+        "commit": commit(), "seed": 0,
+        "machine": format!("{}, {} cores", std::env::consts::ARCH, std::thread::available_parallelism().map_or(0, usize::from)),
+    });
+    for (key, _) in figures.as_object().into_iter().flatten() {
+        let sum: u64 = parts.values().filter_map(|part| part[key].as_u64()).sum();
+        whole[key] = json!(sum);
+    }
+    whole["parts"] = json!(*parts);
+    std::fs::write(&summary, format!("{whole:#}\n")).expect("writable");
+}
+
 fn commit() -> String {
     let asked = std::process::Command::new("git").args(["rev-parse", "HEAD"]).output();
     asked.map(|out| String::from_utf8_lossy(&out.stdout).trim().to_owned()).unwrap_or_default()
@@ -413,8 +462,7 @@ fn commit() -> String {
 
 #[test]
 fn no_camera_is_silently_wrong() {
-    let summary = std::env::var_os("FOURDBODY_MATRIX").map(PathBuf::from);
-    let whole = summary.is_some();
+    let whole = summary().is_some();
     let dir = tempfile::tempdir().expect("a temporary directory");
     let mut all = cases(dir.path(), whole);
     if all.is_empty() {
@@ -456,24 +504,10 @@ fn no_camera_is_silently_wrong() {
         }
         drop(std::fs::remove_dir_all(&dir));
     }
-    let count = |is: fn(&End) -> bool| ends.values().filter(|end| is(end)).count();
-    let right = count(|end| *end == End::Right);
-    let refused = count(|end| matches!(end, End::Refused(_)));
-    let told = count(|end| matches!(end, End::Told(_)));
-    let wrong = count(|end| matches!(end, End::SilentlyWrong(_)));
-    let figures = json!({
-        "cases": all.len(), "complete_and_right": right, "refused": refused, "unclear": told,
-        "silently_wrong": wrong, "tables": chosen(gige_tables()).len(), "commit": commit(), "seed": 0,
-        "machine": format!("{}, {} cores", std::env::consts::ARCH, std::thread::available_parallelism().map_or(0, usize::from)),
-    });
+    let ends: Vec<(String, End)> = ends.into_iter().collect();
+    let figures = figures(&ends, 0);
     println!("{figures:#}");
-    if let Some(summary) = summary {
-        let dir = summary.parent().expect("a folder");
-        std::fs::create_dir_all(dir).expect("writable");
-        let lines: String = ends.iter().map(|(name, end)| format!("{name}\t{end:?}\n")).collect();
-        std::fs::write(dir.join("cases.txt"), lines).expect("writable");
-        std::fs::write(&summary, format!("{figures:#}\n")).expect("writable");
-    }
+    write_summary("tables", &ends, &figures);
     let bad: Vec<String> = ends
         .iter()
         .filter(|(_, end)| matches!(end, End::SilentlyWrong(_)))
@@ -495,5 +529,5 @@ fn no_camera_is_silently_wrong() {
         .map(|(name, _)| name)
         .collect();
     assert!(lost.is_empty(), "{lost:?}");
-    assert_eq!(right + refused + told + wrong, all.len());
+    assert_eq!(ends.len(), all.len());
 }

@@ -331,6 +331,7 @@ impl Control {
             return Err(Status::AccessDenied);
         }
         let (length, effect) = self.registers.write(address, data, self.acquiring, now)?;
+        self.registers.note();
         match effect {
             None => {}
             Some(Effect::Privilege(value)) => self.write_privilege(value, from, now, actions)?,

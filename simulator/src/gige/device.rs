@@ -4,6 +4,7 @@
 use super::actions::{ActionFate, ActionFilter, Actions};
 use super::clock::{CameraClock, ClockOptions};
 use super::control::{Action, Control, Outcome};
+use super::described::Described;
 use super::habits::Habits;
 use super::inject::Injector;
 use super::make::Make;
@@ -60,6 +61,8 @@ pub struct CameraOptions {
     pub habits: Habits,
     /// The make that it is like; else it is the simulator's own.
     pub make: Option<Arc<Make>>,
+    /// The published description that it is behind, and its memory; else what `make` says.
+    pub described: Option<Arc<Described>>,
     /// Faults to inject at triggers of the wire; none by default.
     pub faults: Option<CameraFaults>,
     /// What the network makes of action commands to it.
@@ -82,6 +85,7 @@ impl CameraOptions {
             lose: None,
             habits: Habits::default(),
             make: None,
+            described: None,
             faults: None,
             action_fates: None,
         }
@@ -135,6 +139,7 @@ impl SimulatedCamera {
         let source_port = stream_socket.local_addr().map_or(0, |a| a.port());
         let power_on = {
             let (clock, make) = (Arc::clone(&clock), options.make.clone());
+            let described = options.described.clone();
             let network = match habits.link_local {
                 true => Network::link_local(options.address),
                 false => Network::new(options.address),
@@ -148,7 +153,7 @@ impl SimulatedCamera {
                         let network = network.power_on();
                         Registers::of_make(identity, sensor, clock, habits, Arc::clone(make), &network)
                     }
-                    None => Registers::new(identity, sensor, clock, habits),
+                    None => Registers::new(identity, sensor, clock, habits).behind(described.clone()),
                 };
                 registers.source_port = source_port;
                 let control = Control::new(registers);

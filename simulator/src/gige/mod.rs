@@ -18,6 +18,7 @@
 pub mod actions;
 pub mod clock;
 pub mod control;
+pub mod described;
 pub mod device;
 mod discovery;
 pub mod genicam;
@@ -42,6 +43,7 @@ mod transmit;
 
 pub use actions::{ActionFate, ActionFilter};
 pub use clock::{CameraClock, ClockOptions};
+pub use described::Described;
 pub use device::{CameraOptions, SimulatedCamera};
 pub use gvsp::Form;
 pub use habits::{ClockHabit, Exposures, HabitError, Habits, StampPoint};

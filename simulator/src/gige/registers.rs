@@ -5,6 +5,7 @@
 //! camera's own features, declared to the world by [`super::genicam`].
 
 use super::clock::CameraClock;
+use super::described::Described;
 use super::genicam;
 use super::gvcp::{DISCOVERY_SIZE, ForceIp, Status};
 use super::gvsp::{FORMATS, Form, IdMode};
@@ -17,6 +18,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::Arc;
 use std::time::Instant;
 
+mod kinds;
 mod values;
 
 /// Where the GenICam XML starts; the URL register says so.
@@ -76,6 +78,8 @@ pub struct Registers {
     habits: Habits,
     /// Of a camera that is like a table says; else its features are those of [`super::map`].
     firmware: Option<Firmware>,
+    /// Of a camera behind a published description; its features are those.
+    described: Option<Arc<Described>>,
     /// Address, subnet mask and gateway of a camera that can be moved; in its memory.
     network: Network,
     /// The clock as it was latched, ns.
@@ -124,6 +128,7 @@ impl Registers {
             nonsense: false,
             habits,
             firmware: None,
+            described: None,
             network: Network::new(identity.address),
             identity,
             sensor,
@@ -144,24 +149,6 @@ impl Registers {
             action_keys: [0; 3],
             ptp: false,
         }
-    }
-
-    /// Registers after power-on of a camera of this make.
-    pub fn of_make(
-        identity: Identity,
-        sensor: (u32, u32),
-        clock: Arc<CameraClock>,
-        habits: Habits,
-        make: Arc<Make>,
-        network: &Network,
-    ) -> Self {
-        let firmware = Firmware::new(make, sensor, habits);
-        let mut xml = firmware.description().into_bytes();
-        xml.resize(xml.len().next_multiple_of(4), b'\n');
-        let settings = firmware.settings();
-        let packet_size = firmware.first_packet_size();
-        let plain = Self::new(identity, sensor, clock, habits);
-        Self { firmware: Some(firmware), xml, settings, packet_size, network: network.clone(), ..plain }
     }
 
     /// Its MAC: a locally administered one that holds its first address, unique on this host.
@@ -254,6 +241,9 @@ impl Registers {
         {
             let done = firmware.write(address, data, acquiring, now)?;
             self.settings = firmware.settings();
+            return Ok(done);
+        }
+        if let Some(done) = self.write_memory(address, data) {
             return Ok(done);
         }
         let Some((register, offset)) = find(address) else {
@@ -454,6 +444,9 @@ impl Registers {
 
     /// The four bytes at an aligned address.
     fn word(&self, address: u32) -> Option<[u8; 4]> {
+        if let Some(word) = self.memory_word(address) {
+            return Some(word);
+        }
         if let Some(firmware) = self.firmware.as_ref().filter(|_| (FEATURES..XML_ADDRESS).contains(&address))
         {
             // Of a standard's register and nothing else of the map's own features.

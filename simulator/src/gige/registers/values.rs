@@ -31,7 +31,10 @@ impl Registers {
             Id::ManufacturerInfo => "simulated camera".to_owned(),
             Id::Serial => self.identity.serial.clone(),
             Id::UserName => self.identity.user_name.clone(),
-            Id::XmlUrl => format!("Local:fourdbody-sim.xml;{XML_ADDRESS:x};{:x}", self.xml.len()),
+            Id::XmlUrl => match &self.described {
+                Some(described) => described.url(),
+                None => format!("Local:fourdbody-sim.xml;{XML_ADDRESS:x};{:x}", self.xml.len()),
+            },
             _ => String::new(),
         }
     }
