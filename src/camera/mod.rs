@@ -15,9 +15,9 @@ mod device_clock;
 #[cfg(feature = "aravis")]
 mod features;
 #[cfg(feature = "aravis")]
-mod packet_test;
-#[cfg(feature = "aravis")]
 mod packet_size;
+#[cfg(feature = "aravis")]
+mod packet_test;
 pub mod profile;
 mod quiet;
 #[cfg(feature = "aravis")]

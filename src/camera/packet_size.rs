@@ -50,7 +50,9 @@ pub fn set(camera: &dyn Features, asked: u32) -> Result<Result<Option<String>, S
     let now = answered(camera.integer(FEATURE))?;
     match (wrote, now) {
         (Err(Failed::Lost(error)), _) => Err(error),
-        (Err(Failed::Refused(why)), now) => Ok(Err(refusal(asked, &why, bounds, now))),
+        (Err(Failed::Refused(why) | Failed::Nonsense(why)), now) => {
+            Ok(Err(refusal(asked, &why, bounds, now)))
+        }
         (Ok(()), Some(now)) if now > i64::from(asked) => {
             let why = format!("it makes {now} of it, which the network may not carry");
             Ok(Err(refusal(asked, &why, bounds, Some(now))))

@@ -39,7 +39,7 @@ pub fn triggers_on(camera: &dyn Features) -> Result<TriggersOn, CameraError> {
             Ok(mode) if is_on(&mode) => found.on.push((name, source(camera)?)),
             Ok(_) => {}
             Err(Failed::Lost(error)) => return Err(error),
-            Err(Failed::Refused(why)) => {
+            Err(Failed::Refused(why) | Failed::Nonsense(why)) => {
                 found.unknown = Some(format!("{MODE} cannot be read ({why}), expected On"))
             }
         }
@@ -48,7 +48,7 @@ pub fn triggers_on(camera: &dyn Features) -> Result<TriggersOn, CameraError> {
     let before = match camera.text(SELECTOR) {
         Ok(before) => before,
         Err(Failed::Lost(error)) => return Err(error),
-        Err(Failed::Refused(why)) => {
+        Err(Failed::Refused(why) | Failed::Nonsense(why)) => {
             found.unknown = Some(format!("{SELECTOR} cannot be read ({why}), expected a trigger's name"));
             return Ok(found);
         }

@@ -36,7 +36,7 @@ pub fn known_state(
     match camera.write(&select.feature, value) {
         Ok(()) => {}
         Err(Failed::Lost(error)) => return Err(error),
-        Err(Failed::Refused(why)) => {
+        Err(Failed::Refused(why) | Failed::Nonsense(why)) => {
             return Ok(vec![kept(&format!("{} cannot be set: {why}", select.feature))]);
         }
     }
@@ -50,7 +50,7 @@ pub fn known_state(
     match camera.write(command, &FeatureValue::Flag(true)) {
         Ok(()) => {}
         Err(Failed::Lost(error)) => return Err(error),
-        Err(Failed::Refused(why)) => return Ok(vec![kept(&why)]),
+        Err(Failed::Refused(why) | Failed::Nonsense(why)) => return Ok(vec![kept(&why)]),
     }
     let load = Load { camera, command, status_tells, begun: Instant::now() };
     if tells && load.is_told()? {
