@@ -16,6 +16,7 @@
 
 mod anchor;
 pub mod block_ids;
+mod case;
 mod clock_relation;
 mod dispute;
 mod reading;
@@ -29,9 +30,10 @@ use crate::base::clock_fit::{ClockFit, Exchange, Judged};
 use crate::base::ids::BlockId;
 use anchor::{Anchoring, Early};
 use block_ids::BlockIds;
+use case::Case;
 use clock_relation::{Envelope, Latency, OnTime, Tracker};
 use reading::{CameraClock, LATE_PERIODS};
-use trigger_table::{Schedule, TriggerTable};
+use trigger_table::TriggerTable;
 
 /// So long a tracker is believed without a frame before the clock's fit is asked, ns.
 const TRACKER_REACH_NS: i128 = 2_000_000_000;
@@ -104,36 +106,6 @@ pub struct Matcher {
     pace: Option<i64>,
     /// The trigger that a given-up frame's arrival named.
     arrived: Option<(BlockId, i64)>,
-}
-
-/// A frame, and all there is to judge it by.
-#[derive(Clone, Copy)]
-struct Case<'a> {
-    frame: &'a Sighting,
-    /// Whole frames that have arrived behind it, in order.
-    followers: &'a [Sighting],
-    /// The trigger that its id points at.
-    by_id: i64,
-    table: Schedule<'a>,
-    /// The HSU's clock against the host's.
-    hsu: &'a ClockFit,
-    /// Whether there must be an answer.
-    last_call: bool,
-}
-
-impl Case<'_> {
-    /// Whether a frame's report may be held up: by its id it is of a trigger behind the last that was reported, and that may
-    /// have been fired when it arrived.
-    fn awaits_report(&self, arrived: Option<i128>, period_ns: u64) -> bool {
-        let reported = |number| Some((number, self.table.reported_ns(number)?));
-        let Some((last, last_ns)) = (0..self.table.end()).rev().take(64).find_map(reported) else {
-            return true;
-        };
-        let steps = i128::from(self.by_id.saturating_sub(last));
-        let period_ns = i128::from(period_ns);
-        let due = i128::from(last_ns) + steps.saturating_mul(period_ns * 7 / 8) - period_ns / 8;
-        steps > 0 && arrived.is_none_or(|ns| ns >= due)
-    }
 }
 
 impl Matcher {
