@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Why triggers before a frame have none: lost, ignored, or given up.
+
+use super::Lane;
+use crate::record::GapCause;
+use std::ops::Range;
+
+impl Lane {
+    /// Why triggers before a frame have none: those of frames that came and were given up, `ignored` ones, and for the rest
+    /// `cause`. What was given up is of the trigger that its id points at, or where the frame shows now that triggers were
+    /// ignored, of its clock's.
+    pub(super) fn skipped(&mut self, triggers: Range<u64>, cause: GapCause, ignored: u64) -> Vec<GapCause> {
+        let given_up = std::mem::take(&mut self.given_up_now) as usize;
+        let shown: Vec<(u64, Option<u64>)> = self.given_up_at.drain(..).collect();
+        let disputed = ignored > 0 && shown.iter().any(|(id, clock)| clock.is_some_and(|clock| clock > *id));
+        let mut causes = vec![cause; triggers.end.saturating_sub(triggers.start) as usize];
+        let mut placed = 0;
+        for (id, clock) in shown {
+            let trigger = clock.filter(|_| ignored > 0).unwrap_or(id);
+            let place = trigger.checked_sub(triggers.start).and_then(|place| causes.get_mut(place as usize));
+            if let Some(place) = place.filter(|place| **place != GapCause::IdentityMismatch) {
+                *place = GapCause::IdentityMismatch;
+                placed += 1;
+            }
+        }
+        let free = |causes: &[GapCause]| -> Vec<usize> {
+            (0..causes.len()).filter(|place| causes[*place] != GapCause::IdentityMismatch).collect()
+        };
+        // Frames lost on the way first: in which order the two happened is not to be known. A camera that woke late
+        // ignored its first triggers, and one whose frames were given up since it ignored some, too.
+        let ignored = ignored as usize;
+        let mut open = free(&causes);
+        if triggers.start > 0 && !disputed {
+            open.reverse();
+        }
+        open.into_iter().take(ignored).for_each(|place| causes[place] = GapCause::NotTriggered);
+        // Of the others that were given up nothing is known but that they came.
+        let lost = free(&causes).into_iter().rev().filter(|place| causes[*place] == cause);
+        let others: Vec<usize> = lost.take(given_up.saturating_sub(placed)).collect();
+        others.into_iter().for_each(|place| causes[place] = GapCause::IdentityMismatch);
+        causes
+    }
+}
