@@ -69,6 +69,7 @@ pub fn tables() -> Option<PathBuf> {
 }
 
 /// The tables of more cameras, with what their registers share; else those that there are.
+#[cfg(feature = "aravis")]
 pub fn all_tables() -> Option<PathBuf> {
     let dir = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/camera-tables");
     if dir.is_dir() { Some(dir) } else { tables() }
