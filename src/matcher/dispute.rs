@@ -69,8 +69,8 @@ impl Matcher {
     /// How a frame's arrival fits a trigger.
     pub(super) fn timing(&self, case: &Case<'_>, frame: &Sighting, number: i64) -> Timing {
         // Between reports a time that is only calculated may be too late as well as too early.
-        let calculated = !case.table.is_expected(number) && !case.table.is_known(number);
-        let Some(due) = case.table.time_ns(number).filter(|_| !calculated) else { return Timing::Unknown };
+        let known = !case.table.is_bridged(number);
+        let Some(due) = case.table.time_ns(number).filter(|_| known) else { return Timing::Unknown };
         if self.precedes(frame, due, case.hsu) {
             return Timing::Early;
         }
@@ -178,7 +178,7 @@ impl Matcher {
         // Where arrivals do not tell triggers apart, two witnesses must do.
         let before = self.last.is_some_and(|last| last.in_time && number == last.number + 1);
         // What the rhythm lets expect is no trigger that was reported: one may have been held.
-        let known = !doubtful || case.table.is_known(number);
+        let known = !doubtful || !(case.table.is_bridged(number) || case.table.is_expected(number));
         let enough = match doubtful && tells {
             _ if !known => false,
             true if self.unsettled => {

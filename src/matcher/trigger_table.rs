@@ -393,9 +393,9 @@ impl Schedule<'_> {
         self.table.reported_ns(number)
     }
 
-    /// Whether the HSU or two cameras gave a trigger's time.
-    pub fn is_known(&self, number: i64) -> bool {
-        self.table.row(number).is_some_and(Row::is_known)
+    /// Whether a trigger's report is missing between others, and no two cameras agree on its time.
+    pub fn is_bridged(&self, number: i64) -> bool {
+        self.table.row(number).is_some_and(|row| !row.heard && !row.agreed)
     }
 
     /// Whether the HSU itself gave a trigger's time.
