@@ -241,8 +241,8 @@ impl Matcher {
         }
         let before = (self.given_up, self.unsettled);
         let answer = if frame.complete { self.whole(&case) } else { self.torn(&case) };
-        let unreported = case.awaits_report(self.arrived_ns(frame.host_ns, hsu), period_ns);
-        if answer == Match::Undecided && unreported {
+        let unreported = || case.awaits_report(self.arrived_ns(frame.host_ns, hsu), period_ns);
+        if answer == Match::Undecided && unreported() {
             // For want of reports: that says nothing against ids and clock.
             (self.given_up, self.unsettled) = before;
         }
@@ -255,6 +255,7 @@ impl Matcher {
         answer
     }
 
+    /// Notes whether a frame came as soon as the quickest do, whichever trigger it is of.
     fn note_arrival(&mut self, case: &Case<'_>, answer: Match) {
         let arrived = self.arrived_ns(case.frame.host_ns, case.hsu).filter(|_| answer != Match::Wait);
         let Some((ns, known)) = arrived.zip(self.envelope()).filter(|_| case.frame.complete) else { return };

@@ -261,12 +261,12 @@ impl TriggerTable {
         else {
             return;
         };
-        let apart = |steps: usize| self.period_ns * 7 / 8 * steps as u64;
+        let apart = |steps: u64| (self.period_ns / 8 * 7).saturating_mul(steps);
         let before = self.rows.range(..place).rev().zip(1..).find(|(row, _)| row.is_known());
         let after = self.rows.range(place + 1..).zip(1..).find(|(row, _)| row.sound);
         let Some(((last, since), (next, until))) = before.zip(after) else { return };
         let span = next.hsu_ns.saturating_sub(hsu_ns);
-        if hsu_ns < last.hsu_ns + apart(since) || span < apart(until) {
+        if hsu_ns < last.hsu_ns.saturating_add(apart(since)) || span < apart(until) {
             return;
         }
         let (number, next_ns) = (number + until as i64, next.hsu_ns);
