@@ -41,8 +41,9 @@ pub fn known_state(
         }
     }
     // A register that says "not done" before anything was begun never says "done".
-    let tells = camera.is_done(command) != Some(false);
-    let before = match camera.is_done(command) {
+    let done = camera.is_done(command);
+    let tells = done != Some(false);
+    let before = match done {
         Some(_) => matters(camera, wishes)?,
         None => State::new(),
     };
