@@ -169,19 +169,6 @@ impl AravisCamera {
         }
     }
 
-    /// A size that the camera does not take is no loss of its link.
-    fn set_packet_size(&self, asked: u32) -> Result<(), CameraError> {
-        let bounds = self.bounds_now(packet_size::FEATURE);
-        let bytes = i32::try_from(packet_size::fitting(asked, bounds)).unwrap_or(i32::MAX);
-        self.camera.gv_set_packet_size(bytes).map_err(|error| match device_features::is_silence(&error) {
-            true => link_error("setting the packet size")(error),
-            false => {
-                let now = self.camera.gv_get_packet_size().ok().map(i64::from);
-                CameraError::SetUp { problems: vec![packet_size::refusal(asked, &said(&error), bounds, now)] }
-            }
-        })
-    }
-
     /// What a GigE camera says of its control privilege: 0 when nobody has it.
     fn privilege(&self) -> Option<u32> {
         const PRIVILEGE: u64 = 0x0a00;
@@ -274,7 +261,9 @@ impl Camera for AravisCamera {
         let is_gigevision = self.device.is::<aravis::GvDevice>();
         if is_gigevision {
             self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::Never);
-            self.set_packet_size(options.packet_bytes)?;
+            // A size that the camera does not take is no loss of its link.
+            packet_size::set(self, options.packet_bytes)?
+                .map_err(|problem| CameraError::SetUp { problems: vec![problem] })?;
             self.packets_have_room()?;
             let socket = match options.socket {
                 SocketMode::Auto => aravis::GvStreamOption::NONE,

@@ -80,38 +80,34 @@ pub(super) fn string(device: &aravis::Device, feature: &str) -> Result<Option<St
     })
 }
 
-/// The least and the largest value of a whole number.
-pub(super) fn integer_bounds(device: &aravis::Device, feature: &str) -> Result<(i64, i64), glib::Error> {
+/// Asks for the least and the largest value of a number.
+type AskBounds<T> =
+    unsafe extern "C" fn(*mut aravis_sys::ArvDevice, *const c_char, *mut T, *mut T, *mut *mut GError);
+
+/// The least and the largest value; those given where Aravis leaves them unwritten.
+fn bounds<T: Copy>(
+    device: &aravis::Device,
+    feature: &str,
+    (mut min, mut max): (T, T),
+    ask: AskBounds<T>,
+) -> Result<(T, T), glib::Error> {
     let feature = named(feature);
-    let (mut min, mut max) = (i64::MIN, i64::MAX);
     // SAFETY: device, name and both places live during the call.
     asked(|error| unsafe {
-        aravis_sys::arv_device_get_integer_feature_bounds(
-            device.to_glib_none().0,
-            feature.as_ptr(),
-            &raw mut min,
-            &raw mut max,
-            error,
-        );
+        ask(device.to_glib_none().0, feature.as_ptr(), &raw mut min, &raw mut max, error)
     })?;
     Ok((min, max))
 }
 
+/// The least and the largest value of a whole number.
+pub(super) fn integer_bounds(device: &aravis::Device, feature: &str) -> Result<(i64, i64), glib::Error> {
+    let any = (i64::MIN, i64::MAX);
+    bounds(device, feature, any, aravis_sys::arv_device_get_integer_feature_bounds)
+}
+
 /// The least and the largest value of a number.
 pub(super) fn float_bounds(device: &aravis::Device, feature: &str) -> Result<(f64, f64), glib::Error> {
-    let feature = named(feature);
-    let (mut min, mut max) = (f64::MIN, f64::MAX);
-    // SAFETY: device, name and both places live during the call.
-    asked(|error| unsafe {
-        aravis_sys::arv_device_get_float_feature_bounds(
-            device.to_glib_none().0,
-            feature.as_ptr(),
-            &raw mut min,
-            &raw mut max,
-            error,
-        );
-    })?;
-    Ok((min, max))
+    bounds(device, feature, (f64::MIN, f64::MAX), aravis_sys::arv_device_get_float_feature_bounds)
 }
 
 /// Reads a bootstrap register.
