@@ -113,6 +113,19 @@ struct Case {
     habits: Habits,
 }
 
+/// What a node file says that is wired as the camera can be.
+fn wishes(line: Option<&str>) -> Wishes {
+    Wishes {
+        words: CameraWords { trigger_line: line.map(str::to_owned), ..CameraWords::default() },
+        raw: Vec::new(),
+        exposure_us: EXPOSURE_US,
+        size: SIZE,
+        triggered: true,
+        action: None,
+        link: Link { cameras: 1, packet_bytes: 9000, period_ns: 50_000_000 },
+    }
+}
+
 /// The entry of `TriggerSource` that the simulator's wire is put to.
 fn line_of(table: &Table) -> String {
     let entries = table.feature("TriggerSource").map_or_else(Vec::new, |source| source.entries);
@@ -275,15 +288,7 @@ fn set_up_alone(case: &Case, address: Ipv4Addr) -> Result<(), String> {
     camera.make = case.make.clone();
     camera.habits = Habits { nominal: Some(Duration::from_micros(EXPOSURE_US as u64)), ..case.habits };
     let simulated = SimulatedCamera::start(camera).expect("its address is free");
-    let wishes = Wishes {
-        words: CameraWords { trigger_line: Some(case.line.clone()), ..CameraWords::default() },
-        raw: Vec::new(),
-        exposure_us: EXPOSURE_US,
-        size: SIZE,
-        triggered: true,
-        action: None,
-        link: Link { cameras: 1, packet_bytes: 9000, period_ns: 50_000_000 },
-    };
+    let wishes = wishes(Some(&case.line));
     let mut opened = AravisCameras.open(&address.to_string()).map_err(|error| error.to_string())?;
     let outcome = match opened.set_up(&wishes) {
         Ok(_) => Ok(()),

@@ -6,11 +6,9 @@
 
 use super::bench::{Bench, Judged, Prepared, python};
 use super::{CAMERAS, EXPOSURE_US, End, RATE_HZ, SIZE, TRIGGERS};
-use super::{figures, in_doubt, is_helpful, judge, write_summary};
+use super::{figures, in_doubt, is_helpful, judge, wishes, write_summary};
 use crate::lab::{fourdbody, options, rig_of, say, start, start_nodes, text_of};
-use fourdbody::camera::profile::Link;
-use fourdbody::camera::{AravisCameras, CameraBackend, CameraError, Wishes};
-use fourdbody::config::CameraWords;
+use fourdbody::camera::{AravisCameras, CameraBackend, CameraError};
 use fourdbody::data::FrameSource;
 use fourdbody::record::SessionReader;
 use fourdbody_simulator::gige::described::Word;
@@ -68,19 +66,6 @@ fn descriptions() -> Vec<PathBuf> {
     files.sort();
     assert!(!files.is_empty(), "{}: expected descriptions, *.xml or *.zip", dir.display());
     files
-}
-
-/// What a node file says that is wired as the camera can be.
-fn wishes(line: Option<&str>) -> Wishes {
-    Wishes {
-        words: CameraWords { trigger_line: line.map(str::to_owned), ..CameraWords::default() },
-        raw: Vec::new(),
-        exposure_us: EXPOSURE_US,
-        size: SIZE,
-        triggered: true,
-        action: None,
-        link: Link { cameras: 1, packet_bytes: 9000, period_ns: 50_000_000 },
-    }
 }
 
 /// What a panic said.
