@@ -432,15 +432,12 @@ impl Matcher {
         // After a contradiction that nothing resolved, an extra frame between two triggers must not pass for the next one's.
         let due = case.table.time_ns(case.by_id);
         let late = due.and_then(|due| self.late_ns(case.frame, due, case.hsu));
-        let doubtful = self.unsettled || self.given_up > 0;
-        let near = !doubtful || late.is_some_and(|ns| ns.abs() <= i128::from(self.start.period_ns / 8));
+        let near = !self.unsettled || late.is_some_and(|ns| ns.abs() <= i128::from(self.start.period_ns / 8));
         let in_time = in_time && near;
-        let early = self.timing(case, case.frame, case.by_id) == Timing::Early;
         let arrivals = self.arrivals(case, behind);
         let possible = self.is_fresh(case.by_id) && case.table.is_reported(case.by_id);
         let enough = match self.unsettled {
-            true => self.convince(arrivals) && arrivals.frames >= COUNTED,
-            false if doubtful => arrivals.in_time >= IN_TIME,
+            true => self.convince(arrivals) && arrivals.frames >= COUNTED && self.on_time.is_calm(),
             false => arrivals.in_time > 0,
         };
         if possible && in_time && !enough && arrivals.early == 0 && !case.last_call {
@@ -451,8 +448,6 @@ impl Matcher {
         let confirmed = enough || (case.followers.is_empty() && follows);
         match possible && in_time && arrivals.early == 0 && confirmed {
             true => self.accept(case, case.by_id, None),
-            // One that is late alone says nothing against the counter.
-            false if possible && !early && arrivals.early == 0 => self.pass_over(case.frame),
             false => self.give_up(case.frame),
         }
     }

@@ -520,6 +520,8 @@ impl Matcher {
         let in_time = self.timing(case, frame, number) == dispute::Timing::InTime;
         let matched = self.place(frame, number, finding);
         self.last = self.last.map(|last| Last { in_time, ..last });
+        // Counter and clock have contradicted each other: that they agree again proves nothing yet.
+        self.unsettled = matches!(finding, Some(Finding::StampWrong(Some(_))));
         Match::Trigger(matched)
     }
 

@@ -210,15 +210,15 @@ fn frames_are_filed_rightly_or_given_up_and_never_wrongly() {
     assert!(wrong.is_empty(), "frames filed wrongly in {} histories: {some:?}", wrong.len());
     // So many as a frame's patience allows: the rest of the session is filed once the link speaks again.
     assert!(
-        held_up.right * 100 > held_up.frames * 47,
-        "less than 47 % filed where reports are held up: {held_up:?}"
+        held_up.right * 2 > held_up.frames,
+        "less than half filed where reports are held up: {held_up:?}"
     );
     // One trigger in fourteen has a fault, and a quarter of the hosts tell no trigger from the next.
-    assert!(all.given_up * 5 < 2 * all.frames, "more than two fifths given up: {all:?}");
+    assert!(all.given_up * 20 < 7 * all.frames, "more than seven twentieths given up: {all:?}");
     assert!(prompt.given_up * 4 < prompt.frames, "more than a quarter given up: {prompt:?}");
     assert!(
-        spells.right * 5 > spells.frames * 2,
-        "less than two fifths filed on hosts that are busy now and then: {spells:?}"
+        spells.right * 20 > spells.frames * 9,
+        "less than nine twentieths filed on hosts that are busy now and then: {spells:?}"
     );
 }
 
@@ -318,7 +318,7 @@ fn a_busy_host_costs_frames_beside_faults_and_files_none_wrongly() {
         all.add(outcome);
     }
     println!("{all:?}");
-    assert!(all.given_up * 5 <= all.frames, "more than a fifth given up: {all:?}");
+    assert!(all.given_up * 6 <= all.frames, "more than a sixth given up: {all:?}");
 }
 
 /// Without faults, on a host that takes four frames of ten up late: counter and clock are two witnesses, and lateness says
