@@ -45,11 +45,6 @@ impl Tracker {
         self.frames >= 4
     }
 
-    /// HSU time of the last frame.
-    pub(super) fn last_hsu_ns(&self) -> i128 {
-        self.hsu_ns
-    }
-
     /// Follows a frame of the trigger at `hsu_ns`.
     pub(super) fn follow(&mut self, hsu_ns: u64, camera_ns: u64) {
         let since = i128::from(hsu_ns) - self.hsu_ns;

@@ -104,8 +104,8 @@ impl Matcher {
 
     /// A whole frame of a stream whose ids count from a known trigger, and whose clock's relation is known.
     pub(super) fn by_counter_and_clock(&mut self, case: &Case<'_>, tracker: &Tracker) -> Match {
-        let exposed = self.triggered_ns(tracker, case.frame, case.hsu);
-        let own = self.claim_of(case, case.frame, case.by_id, exposed);
+        let exposed = |frame: &Sighting| frame.camera_ns.map(|camera_ns| tracker.hsu_ns(camera_ns));
+        let own = self.claim_of(case, case.frame, case.by_id, exposed(case.frame));
         // The ordinary frame: nothing happened, and nothing is allocated.
         let plain = own.by_clock == Some(own.by_id)
             && !self.unsettled
@@ -124,8 +124,7 @@ impl Matcher {
                     .by_id
                     .checked_add(steps)
                     .filter(|_| steps > std::mem::replace(&mut before, steps))?;
-                let exposed = frame.camera_ns.map(|camera_ns| tracker.hsu_ns(camera_ns));
-                Some(self.claim_of(case, frame, by_id, exposed))
+                Some(self.claim_of(case, frame, by_id, exposed(frame)))
             })
             .collect();
         match own.by_clock == Some(own.by_id) {

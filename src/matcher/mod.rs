@@ -35,8 +35,6 @@ use clock_relation::{Envelope, Latency, OnTime, Tracker};
 use reading::{CameraClock, LATE_PERIODS};
 use trigger_table::TriggerTable;
 
-/// So long a tracker is believed without a frame before the clock's fit is asked, ns.
-const TRACKER_REACH_NS: i128 = 2_000_000_000;
 /// Behind a frame that no rhythm places so many are waited for.
 const LIKE_FOLLOWERS: usize = 5;
 /// So many frames given up in a row mean that what is known of ids and clock is wrong.
@@ -440,16 +438,6 @@ impl Matcher {
         let period_ns = i128::from(self.start.period_ns);
         let spread = self.tracker.map_or(0.0, |tracker| tracker.spread_ns);
         (period_ns / 16).max((spread * 6.0) as i128).min(period_ns / 4)
-    }
-
-    /// When a frame's trigger was fired by its timestamp, HSU time: by the frames before it, or where these are long
-    /// ago, by the clock's fit.
-    fn triggered_ns(&self, tracker: &Tracker, frame: &Sighting, hsu: &ClockFit) -> Option<i128> {
-        let tracked = tracker.hsu_ns(frame.camera_ns?);
-        if (tracked - tracker.last_hsu_ns()).abs() <= TRACKER_REACH_NS {
-            return Some(tracked);
-        }
-        self.clock.fired_ns(frame, hsu).or(Some(tracked))
     }
 
     /// Whether a reading of the camera's clock is still to be had for this frame; if so it is asked for.

@@ -326,6 +326,46 @@ fn two_cameras_stand_in_for_reports_that_are_still_missing_when_the_link_is_back
     }
 }
 
+/// The serial line is slow now in one direction, now in the other, and then silent for five seconds: the HSU's clock is known
+/// less well than what the cameras' timestamps go on to say.
+#[test]
+fn a_link_that_is_silent_for_seconds_costs_no_frame() {
+    let mut desk = Desk::new(2);
+    let read = |desk: &mut Desk, camera: Option<&str>, device_time_ns: u64, (there, back): (u64, u64)| {
+        let host = HOST_NS + device_time_ns;
+        let camera = camera.map(|id| CameraId(id.to_owned()));
+        let (host_send_ns, host_receive_ns) = (host - there, host + back);
+        let sample = ClockSample { camera, host_send_ns, host_receive_ns, device_time_ns };
+        desk.accounting.handle(RecorderCommand::Clock(sample));
+    };
+    for k in 0..20 {
+        let slow = k * 40_000;
+        read(&mut desk, None, 500_000_000 + k * 25_000_000, (100_000 + slow, 900_000 - slow));
+    }
+    let held = 60..660;
+    for trigger in 0..700 {
+        if trigger % 20 == 0 {
+            read(&mut desk, Some("c0"), due(trigger), (50_000, 50_000));
+            read(&mut desk, Some("c1"), due(trigger), (50_000, 50_000));
+        }
+        if trigger == held.end {
+            held.clone().for_each(|late| desk.report(late, due(late)));
+        }
+        if !held.contains(&trigger) {
+            desk.report(trigger, due(trigger));
+        }
+        (0..2).for_each(|camera| desk.frame(camera, 0, trigger + 1, due(trigger)));
+        if held.contains(&trigger) {
+            desk.last_call();
+        }
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 1400);
+    for ((trigger, camera), outcome) in outcomes {
+        assert_eq!(outcome, Ok(trigger + 1), "camera {camera}");
+    }
+}
+
 /// Both cameras' ids jump by one at trigger 42 while the reports of 40 to 59 are held up: they agree, and are wrong. But no
 /// train fires a trigger before its time.
 #[test]
