@@ -48,8 +48,11 @@ fn every_injected_fault_is_accounted_for_and_nothing_else_is_missing() {
     let accounting = check(&truth, &[&session], Shown::TestImages).expect("a session");
     println!("{}", serde_json::json!(accounting));
     assert_eq!(accounting.mismatches, 0, "{:#?}", accounting.listed);
-    // A host that is late gives frames up by name, and with faults every dozen triggers more: none stands wrong.
-    assert!(accounting.given_up * 12 <= accounting.outcomes, "given up: {}", accounting.given_up);
+    assert!(
+        accounting.given_up * 100 <= accounting.outcomes,
+        "more than 1 % given up: {}",
+        accounting.given_up
+    );
     assert_eq!(accounting.outcomes, 8 * TRIGGERS as u64);
     assert_eq!(accounting.total.injected, truth.len() as u64);
     assert_eq!(accounting.kinds.len(), Kind::all().len() - 1, "every kind: {:?}", accounting.kinds.keys());
