@@ -351,13 +351,14 @@ impl Matcher {
             (clock % ids == 0).then_some(clock / ids)
         };
         let after = || behind.iter().filter(|claim| claim.by_id > first.by_id);
-        let pace = after().next().and_then(|next| steps(first, next));
+        let pace = after().find(|next| next.by_clock.is_some()).and_then(|next| steps(first, next));
         let chain = || {
             // A loss between them may be a slip that is over.
             let unbroken =
                 after().zip(first.by_id.saturating_add(1)..).take_while(|(claim, id)| claim.by_id == *id);
-            let alike = unbroken.map(|(claim, _)| claim);
-            let alike = alike.take_while(|claim| pace.is_some() && steps(first, claim) == pace);
+            // A timestamp that names no trigger is that frame's alone.
+            let named = unbroken.map(|(claim, _)| claim).filter(|claim| claim.by_clock.is_some());
+            let alike = named.take_while(|claim| pace.is_some() && steps(first, claim) == pace);
             std::iter::once(first).chain(alike)
         };
         let by_id = self.arrivals(case, chain().map(|claim| (claim.frame, claim.by_id)));

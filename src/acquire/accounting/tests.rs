@@ -85,13 +85,18 @@ impl Desk {
     }
 
     fn frame(&mut self, camera: usize, stream: u32, block: u64, exposed_ns: u64) {
+        self.frame_stamped((camera, stream), block, exposed_ns, exposed_ns + 3_000_000);
+    }
+
+    /// With this timestamp, and arriving then, both by the HSU's clock.
+    fn frame_stamped(&mut self, (camera, stream): (usize, u32), block: u64, camera_ns: u64, arrives_ns: u64) {
         let arrival = Arrival {
             camera,
             stream,
             transfer: Transfer::Complete,
             block_id: BlockId(block),
-            camera_ns: exposed_ns,
-            host_ns: HOST_NS + exposed_ns + 3_000_000,
+            camera_ns,
+            host_ns: HOST_NS + arrives_ns,
             pixels_crc: 0,
             taken: Instant::now(),
             block: Block::allocate(16),
@@ -363,6 +368,33 @@ fn a_link_that_is_silent_for_seconds_costs_no_frame() {
     assert_eq!(outcomes.len(), 1400);
     for ((trigger, camera), outcome) in outcomes {
         assert_eq!(outcome, Ok(trigger + 1), "camera {camera}");
+    }
+}
+
+/// Trigger 45 is ignored, and the timestamp of 49 is absurd: between them are too few frames for a host of which one in
+/// thirty came late. Behind the absurd one counter and clock contradict each other as before it.
+#[test]
+fn one_absurd_timestamp_does_not_hide_what_the_frames_around_it_show() {
+    let mut desk = Desk::new(1);
+    for trigger in 0..80 {
+        desk.report(trigger, due(trigger));
+        let arrives_ns = due(trigger) + if trigger == 30 { 8_000_000 } else { 3_000_000 };
+        let camera_ns = due(trigger) + if trigger == 49 { 35_000_000_000_000 } else { 0 };
+        match trigger {
+            0..45 => desk.frame_stamped((0, 0), trigger + 1, camera_ns, arrives_ns),
+            45 => {}
+            _ => desk.frame_stamped((0, 0), trigger, camera_ns, arrives_ns),
+        }
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 80);
+    for ((trigger, _), outcome) in outcomes {
+        let expected = match trigger {
+            0..45 => Ok(trigger + 1),
+            45 => Err(GapCause::NotTriggered),
+            _ => Ok(trigger),
+        };
+        assert_eq!(outcome, expected, "{trigger}");
     }
 }
 
