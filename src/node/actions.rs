@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whether the cameras can be triggered by action commands now: their clocks are one, and each answers.
 
-use super::camera_keeper::{CLOCK_BURST, exchange};
+use super::camera_keeper::{clock_readings, exchange};
 use super::devices::Devices;
 use crate::base::clock_fit::Exchange;
 use crate::base::ids::CameraId;
@@ -80,8 +80,7 @@ impl Devices {
                     continue;
                 }
             }
-            let samples = (0..CLOCK_BURST).filter_map(|_| camera.sample_clock().ok().flatten());
-            match samples.map(|sample| exchange(&sample)).min_by_key(round_trip) {
+            match clock_readings(camera.as_mut()).map(|sample| exchange(&sample)).min_by_key(round_trip) {
                 Some(sample) => clocks.push((id, sample)),
                 None => troubles.push(format!(
                     "camera {id}: its clock cannot be read, and actions cannot be scheduled by it: say \

@@ -7,7 +7,7 @@ use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::RecorderCommand;
 use crate::base::clock_fit::{Exchange, RESET_RUN};
 use crate::base::time::HostClock;
-use crate::camera::{CameraError, StreamOptions, quiet_stream};
+use crate::camera::{Camera, CameraClockSample, CameraError, StreamOptions, quiet_stream};
 use crate::host::frame_memory::Pool;
 use crate::hsu::action::PtpClock;
 use crate::record::{ClockSample, GapCause, NodeEvent, PTP_STATUS};
@@ -374,8 +374,13 @@ impl Work {
     }
 }
 
+/// A burst of readings of a camera's clock. One that does not answer is not asked again: each question takes seconds.
+pub fn clock_readings(camera: &mut dyn Camera) -> impl Iterator<Item = CameraClockSample> {
+    (0..CLOCK_BURST).map_while(|_| camera.sample_clock().ok()).flatten()
+}
+
 /// A reading of a camera's clock on this host's monotonic clock.
-pub fn exchange(sample: &crate::camera::CameraClockSample) -> Exchange {
+pub fn exchange(sample: &CameraClockSample) -> Exchange {
     Exchange {
         host_send_ns: sample.host_before_ns,
         host_receive_ns: sample.host_after_ns,
@@ -386,7 +391,7 @@ pub fn exchange(sample: &crate::camera::CameraClockSample) -> Exchange {
 /// A reading of a camera's clock, as the recording has it.
 pub fn camera_sample(
     id: crate::base::ids::CameraId,
-    sample: crate::camera::CameraClockSample,
+    sample: CameraClockSample,
     clock: &HostClock,
 ) -> ClockSample {
     ClockSample {

@@ -3,7 +3,9 @@
 
 mod exposure;
 
-use super::camera_keeper::{AttendantSetup, CLOCK_BURST, CameraKeeper, Report, camera_sample, exchange};
+use super::camera_keeper::{
+    AttendantSetup, CLOCK_BURST, CameraKeeper, Report, camera_sample, clock_readings, exchange,
+};
 use super::hsu_keeper::hsu_sample;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::RecorderCommand;
@@ -352,9 +354,8 @@ impl Devices {
         let ptp = self.ptp();
         for (place, slot) in self.slots.iter_mut().enumerate() {
             let Some(camera) = slot.camera.as_mut() else { continue };
-            let samples = (0..CLOCK_BURST).filter_map(|_| camera.sample_clock().ok().flatten());
             let id = &slot.config.id;
-            for sample in samples {
+            for sample in clock_readings(camera.as_mut()) {
                 if let Some(ptp) = ptp.as_ref().filter(|_| place == REFERENCE) {
                     ptp.read(&exchange(&sample));
                 }
