@@ -54,6 +54,30 @@ struct Lane {
     breaches: Breaches,
 }
 
+impl Lane {
+    fn new(setup: LaneSetup) -> Self {
+        Self {
+            id: setup.id,
+            width: setup.width,
+            height: setup.height,
+            matcher: setup.matcher,
+            pending: VecDeque::new(),
+            stream: 0,
+            next: 0,
+            lost: false,
+            back: false,
+            absence: GapCause::Unplugged,
+            spurious: 0,
+            unconfirmed: 0,
+            given_up: 0,
+            given_up_now: 0,
+            given_up_at: VecDeque::with_capacity(GIVEN_UP_KEPT),
+            asked: None,
+            breaches: Breaches::default(),
+        }
+    }
+}
+
 /// A frame that waits for its trigger, since this point of [`Accounting::awake`].
 struct Pending {
     arrival: Arrival,
@@ -119,28 +143,9 @@ impl Accounting {
         ring: Ring,
         events: Sender<RecorderEvent>,
     ) -> Self {
-        let lane = |setup: LaneSetup| Lane {
-            id: setup.id,
-            width: setup.width,
-            height: setup.height,
-            matcher: setup.matcher,
-            pending: VecDeque::new(),
-            stream: 0,
-            next: 0,
-            lost: false,
-            back: false,
-            absence: GapCause::Unplugged,
-            spurious: 0,
-            unconfirmed: 0,
-            given_up: 0,
-            given_up_now: 0,
-            given_up_at: VecDeque::with_capacity(GIVEN_UP_KEPT),
-            asked: None,
-            breaches: Breaches::default(),
-        };
         Self {
             sets: Assembler::new(lanes.len(), options.set_patience, options.open_sets()),
-            lanes: lanes.into_iter().map(lane).collect(),
+            lanes: lanes.into_iter().map(Lane::new).collect(),
             table: TriggerTable::new(options.period_ns),
             hsu: ClockFit::new(),
             ring,
@@ -311,7 +316,10 @@ impl Accounting {
             let mut followers = [seen; Matcher::FOLLOWERS];
             let count = followers.iter_mut().zip(behind).map(|(place, next)| *place = next).count();
             if last_call {
-                self.infer_trigger(camera, &seen);
+                // Those behind it must show whether the host stood still, and their reports may be held up as well.
+                std::iter::once(&seen)
+                    .chain(&followers[..count])
+                    .for_each(|seen| self.infer_trigger(camera, seen));
             }
             if self.lanes[camera].matcher.wants_habits()
                 && let Some(habits) = self.lanes.iter().find_map(|lane| lane.matcher.habits())
@@ -356,7 +364,7 @@ impl Accounting {
     /// camera that ignored triggers, or whose clock was set, is alone with that.
     fn infer_trigger(&mut self, camera: usize, seen: &Sighting) {
         let Some((number, hsu_ns)) = self.lanes[camera].matcher.claim(seen) else { return };
-        if self.table.is_heard(number) {
+        if self.table.is_heard(number) || self.table.is_agreed(number) {
             return;
         }
         let period_ns = i128::from(self.options.period_ns);

@@ -239,6 +239,11 @@ impl TriggerTable {
         self.row(number).is_some_and(|row| row.heard)
     }
 
+    /// Whether cameras agree on the time of a trigger that was not reported.
+    pub fn is_agreed(&self, number: i64) -> bool {
+        self.row(number).is_some_and(|row| row.agreed)
+    }
+
     /// Notes a trigger whose report is held up, or missing between others, from what cameras agree on; its report, once
     /// there, replaces it.
     pub fn infer(&mut self, number: i64, hsu_ns: u64) {

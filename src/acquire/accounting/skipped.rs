@@ -28,16 +28,37 @@ impl Lane {
         };
         // Frames lost on the way first: in which order the two happened is not to be known. A camera that woke late
         // ignored its first triggers, and one whose frames were given up since it ignored some, too.
-        let ignored = ignored as usize;
+        let came = given_up.saturating_sub(placed);
         let mut open = free(&causes);
+        // What came was not ignored.
+        let ignored = (ignored as usize).min(open.len().saturating_sub(came));
         if triggers.start > 0 && !disputed {
             open.reverse();
         }
         open.into_iter().take(ignored).for_each(|place| causes[place] = GapCause::NotTriggered);
         // Of the others that were given up nothing is known but that they came.
         let lost = free(&causes).into_iter().rev().filter(|place| causes[*place] == cause);
-        let others: Vec<usize> = lost.take(given_up.saturating_sub(placed)).collect();
+        let others: Vec<usize> = lost.take(came).collect();
         others.into_iter().for_each(|place| causes[place] = GapCause::IdentityMismatch);
         causes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::LaneSetup;
+    use super::{GapCause, Lane};
+    use crate::base::ids::CameraId;
+    use crate::matcher::{Matcher, Start};
+
+    /// A camera slept until trigger 1, and two frames of it were given up before its place was known.
+    #[test]
+    fn a_frame_that_came_and_was_given_up_is_of_no_trigger_that_was_ignored() {
+        let matcher = Matcher::new(Start { period_ns: 8_333_333, warm_up: 8, hsu_minus_host_ns: None });
+        let setup = LaneSetup { id: CameraId("c0".to_owned()), width: 16, height: 1, matcher };
+        let mut lane = Lane::new(setup);
+        lane.given_up_now = 2;
+        let causes = lane.skipped(0..3, GapCause::MissingPackets, 3);
+        assert_eq!(causes, [GapCause::NotTriggered, GapCause::IdentityMismatch, GapCause::IdentityMismatch]);
     }
 }

@@ -371,6 +371,36 @@ fn a_link_that_is_silent_for_seconds_costs_no_frame() {
     }
 }
 
+/// While reports are held up, frames of one trigger arrive nearly a period late: those behind them are in time, though their
+/// triggers are not reported either.
+#[test]
+fn a_frame_that_comes_late_while_reports_are_held_up_costs_nothing() {
+    let mut desk = Desk::new(2);
+    let held = 40..70;
+    for trigger in 0..90 {
+        if trigger == held.end {
+            held.clone().for_each(|late| desk.report(late, due(late)));
+        }
+        if !held.contains(&trigger) {
+            desk.report(trigger, due(trigger));
+        }
+        // Before the next trigger is due, so that nothing is expected behind it.
+        let late_ns = if trigger == 50 { 7_000_000 } else { 0 };
+        for camera in 0..2 {
+            let arrives_ns = due(trigger) + 500_000 + late_ns;
+            desk.frame_stamped((camera, 0), trigger + 1, due(trigger), arrives_ns);
+        }
+        if trigger == held.end - 1 {
+            desk.last_call();
+        }
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 180);
+    for ((trigger, camera), outcome) in outcomes {
+        assert_eq!(outcome, Ok(trigger + 1), "camera {camera}");
+    }
+}
+
 /// Trigger 45 is ignored, and the timestamp of 49 is absurd: between them are too few frames for a host of which one in
 /// thirty came late. Behind the absurd one counter and clock contradict each other as before it.
 #[test]
