@@ -27,12 +27,17 @@ class Memory(genapi.AbstractPort):
     def __init__(self):
         super().__init__()
         self.words, self.banks, self.wrote, self.fixed = {}, {}, [], set()
+        # The places that were read, while somebody wants to know.
+        self.places = None
 
     def place(self, at):
         return (at, tuple(self.word(by) for by in self.banks.get(at, ())))
 
     def word(self, at):
-        found = self.words.get(self.place(at))
+        place = self.place(at)
+        if self.places is not None:
+            self.places.add(place)
+        found = self.words.get(place)
         return self.words.get((at, ()), 0) if found is None else found
 
     def read(self, address, length):
@@ -123,7 +128,13 @@ class Description:
             return None
 
     def put(self, name, value, by_maker=False):
-        """Sets a value; says whether that was possible."""
+        """Sets a value; says whether that was possible. What a selector selects may be kept in a map instead of the memory:
+        it is set in both."""
+        if name.endswith("Selector"):
+            self.put_one(name, value, not by_maker)
+        return self.put_one(name, value, by_maker)
+
+    def put_one(self, name, value, by_maker):
         node = self.node(name, by_maker)
         try:
             if isinstance(node, genapi.IEnumeration):

@@ -40,8 +40,27 @@ def behind(camera, selector, read):
 def trigger(camera):
     names = ("TriggerMode", "TriggerSource", "TriggerActivation", "TriggerPolarity", "TriggerOverlap", "TriggerDelay",
              "TriggerDelayAbs", "TriggerDivider")
-    of = behind(camera, "TriggerSelector", lambda: {name: camera.get(name) for name in names})
+    places = []
+
+    def one():
+        places.append(places_of(camera, "TriggerMode"))
+        return {name: camera.get(name) for name in names}
+
+    selected = camera.get("TriggerSelector")
+    of = behind(camera, "TriggerSelector", one)
+    if len(places) > 1 and all(place == places[0] for place in places):
+        # One mode for all: the trigger is the one that is selected.
+        of = {selected: of[selected]} if selected in of else of
     return {str(entry): values for entry, values in of.items() if values["TriggerMode"] in ON}
+
+
+def places_of(camera, name):
+    """The places of memory on which a feature's value rests as the camera is set now."""
+    camera.forget()
+    camera.memory.places = set()
+    camera.get(name)
+    places, camera.memory.places = camera.memory.places, None
+    return places
 
 
 def exposure(camera):

@@ -47,22 +47,25 @@ class Preparation:
                     self.deliver(name, value)
         for name in self.all:
             self.be_valid(name)
-        self.behind_triggers()
-        self.seek(["PayloadSize"], ("pValue",), lambda: self.distance("PayloadSize", self.size[0] * self.size[1]),
-                  [self.size[0] * self.size[1]])
+        self.behind_selectors()
+        if "PayloadSize" in self.camera.nodes:
+            self.seek(["PayloadSize"], ("pValue",), lambda: self.distance("PayloadSize", self.size[0] * self.size[1]),
+                      [self.size[0] * self.size[1]])
 
-    def behind_triggers(self):
-        """What registers say of a trigger may lie behind it."""
-        before = self.camera.get("TriggerSelector")
-        for entry in self.camera.entries("TriggerSelector"):
-            if self.camera.put("TriggerSelector", entry, by_maker=True):
-                for name in [name for name in self.features if name.startswith("Trigger") and name != "TriggerSelector"]:
-                    self.be_there(name)
-                    self.be_valid(name)
-                    if name in DELIVERED and self.camera.get(name) != DELIVERED[name]:
-                        self.deliver(name, DELIVERED[name])
-        if before is not None:
-            self.camera.put("TriggerSelector", before, by_maker=True)
+    def behind_selectors(self):
+        """What registers say of a trigger or a gain may lie behind its selector."""
+        for selector in ("TriggerSelector", "GainSelector"):
+            kind = selector.removesuffix("Selector")
+            before = self.camera.get(selector)
+            for entry in self.camera.entries(selector):
+                if self.camera.put(selector, entry, by_maker=True):
+                    for name in [name for name in self.features if name.startswith(kind) and name != selector]:
+                        self.be_there(name)
+                        self.be_valid(name)
+                        if name in DELIVERED and self.camera.get(name) != DELIVERED[name]:
+                            self.deliver(name, DELIVERED[name])
+            if before is not None:
+                self.camera.put(selector, before, by_maker=True)
 
     def deliver(self, name, value):
         if not self.camera.put(name, value, by_maker=True) and isinstance(value, float):
@@ -117,14 +120,22 @@ class Preparation:
         value = self.camera.get(name)
         return 1e18 if value is None else abs(value - wanted)
 
+    def usual(self, name):
+        """What a number is on most cameras."""
+        sizes = dict.fromkeys(("Width", "WidthMax", "SensorWidth"), self.size[0])
+        sizes |= dict.fromkeys(("Height", "HeightMax", "SensorHeight"), self.size[1])
+        if name in sizes:
+            return sizes[name]
+        if name == "GevSCPSPacketSize":
+            return 9000
+        return 1000.0 if re.match("(Exposure|Shutter)Time", name) else 0 if "Offset" in name else None
+
     def have_room(self, name):
         """A number has bounds between which it can be what is usual."""
         node = self.camera.node(name)
         if not self.is_there(name) or isinstance(node, genapi.IEnumeration) or not is_number(node):
             return
-        usual = {"Width": self.size[0], "Height": self.size[1]}.get(name)
-        if usual is None:
-            usual = 1000.0 if re.match("(Exposure|Shutter)Time", name) else 0 if "Offset" in name else None
+        usual = self.usual(name)
 
         def score():
             try:
@@ -140,6 +151,8 @@ class Preparation:
                     bad += step is not None and (step <= 0 or usual % step != 0)
                 if name.startswith("Gain"):
                     bad += least < 0 or most > 1000
+                if name == "GevSCPSPacketSize":
+                    bad += least > 576 or most < 9000
                 return bad
             except genapi.GenericException:
                 return 1e9

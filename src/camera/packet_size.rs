@@ -45,6 +45,9 @@ pub fn set(camera: &dyn Features, asked: u32) -> Result<Result<Option<String>, S
     if asked == 0 || !writable || !camera.is_available(FEATURE) {
         return Ok(Ok(None));
     }
+    if answered(camera.integer(FEATURE))? == Some(asked.into()) {
+        return Ok(Ok(None));
+    }
     let bounds = camera.bounds_now(FEATURE);
     let wrote = camera.write(FEATURE, &FeatureValue::Integer(fitting(asked, bounds).into()));
     let now = answered(camera.integer(FEATURE))?;

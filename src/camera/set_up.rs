@@ -3,7 +3,7 @@
 //! Every problem is found, not the first alone.
 
 use super::CameraError;
-use super::description::{Access, list, nearest, plain};
+use super::description::{Access, Feature, list, nearest, plain};
 use super::features::{Failed, Features, answered, value_text};
 use super::packet_size;
 use super::profile::{self, Amount, Must, Plan, Want, Wishes, Write};
@@ -29,6 +29,7 @@ pub fn set_up(camera: &dyn Features, wishes: &Wishes) -> Result<SetUp, CameraErr
         set: BTreeMap::new(),
     };
     work.told.extend(load::known_state(camera, wishes, &mut work.problems)?);
+    work.choose_triggers()?;
     let frame_trigger = profile::frame_trigger(camera).ok().flatten();
     work.select_trigger(frame_trigger.as_deref())?;
     let (musts, troubles) = profile::must_be(camera, wishes);
@@ -74,6 +75,17 @@ fn refused(feature: &str, value: &str, why: &str) -> String {
 }
 
 impl Work<'_> {
+    /// Before SFNC one model of triggers stood beside another, and which of them is chosen says which triggers there are.
+    fn choose_triggers(&self) -> Result<(), CameraError> {
+        const MODEL: &str = "TriggerControlImplementation";
+        if let Some(model) = self.camera.feature(MODEL).filter(Feature::is_writable)
+            && let Some(standard) = model.entry(&["Standard"])
+        {
+            answered(self.camera.set_text(MODEL, standard))?;
+        }
+        Ok(())
+    }
+
     fn select_trigger(&self, entry: Option<&str>) -> Result<(), CameraError> {
         if let Some(entry) = entry
             && self.camera.feature("TriggerSelector").is_some_and(|selector| selector.is_writable())

@@ -24,18 +24,25 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     let selector = first_writable(camera, &["GainSelector"]);
     let entries = selector.map_or_else(Vec::new, |(_, selector)| selector.entries);
     let select = |entry: &str| Write::entry("GainSelector", entry, WORD).optional();
-    // One gain for everything; else the one before digitizing carries it all, and the others add nothing.
+    let nothing = match &amount {
+        Amount::Near { scale, tolerance, unit, .. } => {
+            Amount::Near { wanted: 0.0, scale: scale.clone(), tolerance: *tolerance, unit }
+        }
+        _ => Amount::Least,
+    };
+    // One gain for everything; else the one before digitizing carries it all. The others add nothing, as far as it is known
+    // what adds nothing; those of taps balance halves of the sensor, and stay.
     let whole = entries.iter().find(|entry| plain(entry) == "all").cloned();
     match whole {
-        Some(entry) => plan.writes.extend([select(&entry), set(&amount)]),
+        Some(entry) => {
+            let stays = |other: &&String| **other == entry || plain(other).starts_with("tap");
+            for other in entries.iter().filter(|other| nothing != Amount::Least && !stays(other)) {
+                plan.writes.extend([select(other), set(&nothing).optional()]);
+            }
+            plan.writes.extend([select(&entry), set(&amount)]);
+        }
         None if entries.is_empty() => plan.writes.push(set(&amount)),
         None => {
-            let nothing = match &amount {
-                Amount::Near { scale, tolerance, unit, .. } => {
-                    Amount::Near { wanted: 0.0, scale: scale.clone(), tolerance: *tolerance, unit }
-                }
-                _ => Amount::Least,
-            };
             for entry in &entries {
                 let digital = plain(entry).contains("digital");
                 let amount = if digital { &nothing } else { &amount };

@@ -213,7 +213,8 @@ fn gains_of_all_standards_are_found() {
         ("GainRaw:float", 0.0, "GainRaw=least"),
         ("GainRaw:float:dB", 6.0, "GainRaw=6"),
         ("Gain:float:% GainRaw:int", 0.0, "Gain=least"),
-        ("Gain:float:dB GainSelector=All,Red", 3.0, "GainSelector=All Gain=3"),
+        ("Gain:float:dB GainSelector=All,Red,Tap1", 3.0, "GainSelector=Red Gain=0 GainSelector=All Gain=3"),
+        ("GainRaw:int GainSelector=All,DigitalAll", 0.0, "GainSelector=All GainRaw=least"),
         (
             "GainRaw:int GainSelector=Tap1,Tap2",
             0.0,

@@ -82,10 +82,6 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     }
     let selector = camera.feature(SELECTOR).filter(|selector| !is_fixed(selector));
     if let (Some(selector), Some(frame)) = (&selector, &frame) {
-        // Before SFNC one model of triggers stood beside another.
-        if let Some((name, feature)) = first_writable(camera, &["TriggerControlImplementation"]) {
-            plan.writes.extend(feature.entry(&["Standard"]).map(|e| Write::entry(name, e, LINE).optional()));
-        }
         // What else could be waited for is off; an entry that cannot be selected now is no trigger.
         for other in selector.entries.iter().filter(|other| *other != frame) {
             plan.writes.push(Write::entry(SELECTOR, other, LINE).optional());

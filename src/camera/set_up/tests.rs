@@ -40,6 +40,8 @@ struct Habits {
     with_trigger: Vec<&'static str>,
     /// It makes this of every packet size; 0: it refuses.
     packets: Option<i64>,
+    /// It has these entries of `TriggerSelector` while another model of triggers is chosen.
+    legacy: Option<Vec<String>>,
 }
 
 const DEVICE: &str = "PixelFormat=Mono8,Mono12 Width:int Height:int OffsetX:int OffsetY:int PayloadSize:int!ro \
@@ -107,7 +109,14 @@ impl Description for Fake {
     }
 
     fn feature(&self, name: &str) -> Option<Feature> {
-        self.made.feature(name)
+        let standard = || self.values.borrow().get("TriggerControlImplementation") == Some(&text("Standard"));
+        let feature = self.made.feature(name)?;
+        match &self.habits.legacy {
+            Some(entries) if name == "TriggerSelector" && !standard() => {
+                Some(Feature { entries: entries.clone(), ..feature })
+            }
+            _ => Some(feature),
+        }
     }
 }
 
@@ -459,6 +468,23 @@ fn packet_sizes_are_the_cameras_or_refused_by_name() {
         "{all}"
     );
     assert!(all.contains("say packet_bytes = 8164") && !all.contains("power"), "{all}");
+}
+
+#[test]
+fn a_camera_that_has_the_packet_size_already_is_not_set() {
+    let mut fake = with("GevSCPSPacketSize:int", &[("GevSCPSPacketSize", FeatureValue::Integer(9000))]);
+    fake.habits.packets = Some(0);
+    set_up(&fake, &wanted()).expect("set up");
+}
+
+#[test]
+fn triggers_that_come_with_another_model_of_triggers_are_there_once_it_is_chosen() {
+    let model = [("TriggerControlImplementation", text("Legacy"))];
+    let mut fake = with("TriggerControlImplementation=Legacy,Standard", &model);
+    fake.habits.legacy = Some(vec!["AcquisitionStart".to_owned(), "LineStart".to_owned()]);
+    set_up(&fake, &wanted()).expect("set up");
+    assert_eq!(fake.has_now("TriggerSelector"), text("FrameStart"));
+    assert_eq!(fake.has_now("TriggerMode"), text("On"));
 }
 
 #[test]
