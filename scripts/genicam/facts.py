@@ -46,10 +46,16 @@ def commands(camera):
         if among_ones is None or among_zeros is None:
             continue
         mask = ~(among_ones ^ among_zeros) & 0xFFFFFFFF
-        # Nothing that is written with zero can be told from a write of something else.
-        if mask and (word & mask or mask == 0xFFFFFFFF):
+        if mask:
             found.append({"address": at, "mask": mask, "value": word & mask, "does": DOES.get(name, "nothing")})
-    return found
+    # What is written with zero cannot be told from a write of something else, unless another command has the same bits.
+    bits = [(command["address"], command["mask"]) for command in found]
+
+    def is_seen(command):
+        pair = bits.count((command["address"], command["mask"])) > 1
+        return command["value"] or command["mask"] == 0xFFFFFFFF or pair
+
+    return [command for command in found if is_seen(command)]
 
 
 def banks(camera, features):

@@ -95,7 +95,9 @@ def judge(camera, asked):
     if len(on) != 1:
         say("the trigger that is on", ", ".join(on) or "none", "one that starts a frame")
     for entry, values in on.items():
-        known = entry == "None" or plain(entry) in map(plain, FRAME)
+        # Before SFNC there was one trigger alone, and that one took a frame.
+        alone = camera.entries("TriggerSelector") == [entry] == ["AcquisitionStart"]
+        known = entry == "None" or alone or plain(entry) in map(plain, FRAME)
         if not known:
             say("the trigger that is on", entry, "one that starts a frame")
         if values["TriggerSource"] is not None and values["TriggerSource"] != asked["line"]:
@@ -137,13 +139,20 @@ def judge(camera, asked):
     for name, expected in (("PixelFormat", "mono8"), ("AcquisitionMode", "continuous")):
         if camera.get(name) is not None and plain(camera.get(name)) != expected:
             say(name, camera.get(name), expected)
-    for name, expected in (("Width", asked["size"][0]), ("Height", asked["size"][1]), ("GevSCPSPacketSize", asked["packet"])):
+    packet = asked["packet"] and taken(camera.node("GevSCPSPacketSize"), asked["packet"])
+    for name, expected in (("Width", asked["size"][0]), ("Height", asked["size"][1]), ("GevSCPSPacketSize", packet)):
         if expected and camera.get(name) is not None and camera.get(name) != expected:
             say(name, camera.get(name), expected)
     line(camera, asked["line"], wrong)
     for name in ("PixelFormat", "Width", "Height", "OffsetX", "OffsetY", "GevSCPSPacketSize", "UserSetSelector", "AcquisitionMode"):
         found[name] = camera.get(name)
     return {"found": found, "wrong": wrong}
+
+
+def taken(node, wanted):
+    """The largest value that a number takes and that is not above this one."""
+    least, most, step = bound(node, "min", 0), bound(node, "max", wanted), bound(node, "inc", 1) or 1
+    return wanted if most < least else least + (min(wanted, most) - least) // step * step
 
 
 def line(camera, name, wrong):

@@ -92,8 +92,9 @@ class Preparation:
             except (genapi.GenericException, AttributeError):
                 continue
         if not self.is_there(name):
-            self.seek(chain, THERE, lambda: 0 if self.is_there(name) else 1, [])
-            self.seek(chain, THERE, lambda: 0 if self.is_there(name) else 1, [], only_read=False)
+            bits = [0xFFFFFFFF, -1]
+            self.seek(chain, THERE, lambda: 0 if self.is_there(name) else 1, bits)
+            self.seek(chain, THERE, lambda: 0 if self.is_there(name) else 1, bits, only_read=False)
 
     def be_no_zero(self):
         """By steps and by what formulas divide by: no camera has zero there."""

@@ -423,8 +423,8 @@ fn colours(camera: &dyn Features) -> Result<Option<String>, CameraError> {
 /// What asked for a write.
 fn of(write: &Write) -> String {
     match write.word {
-        "" => "expected it to be set".to_owned(),
-        word => format!("{word} sets it"),
+        "" => "expected it to be set; set what it comes with in `settings`".to_owned(),
+        word => format!("{word} sets it; set what it comes with in `settings`"),
     }
 }
 

@@ -189,9 +189,14 @@ impl Inner {
         {
             self.memory.clone_from(delivered);
         }
-        // It is done when its bits are other ones.
+        // It is done when its bits are other ones, unless these say which of two commands was the last.
         let place = self.place(address);
-        let done = if command.value == 0 { word | command.mask } else { word & !command.mask };
+        let same = |other: &&Command| other.address == address && other.mask == command.mask;
+        let done = match self.facts.commands.iter().filter(same).count() > 1 {
+            true => word,
+            false if command.value == 0 => word | command.mask,
+            false => word & !command.mask,
+        };
         self.memory.insert(place, done);
         match command.does {
             Does::Start => Done::Start,
@@ -255,5 +260,17 @@ mod tests {
         assert_eq!(described.word(0x300), 4u32.to_be_bytes(), "other bits stay");
         assert_eq!(described.write(0x300, &1u32.to_be_bytes()), Done::Nothing);
         assert_eq!(described.word(0x100), 9u32.to_be_bytes());
+    }
+
+    #[test]
+    fn of_two_commands_with_the_same_bits_the_last_one_stands() {
+        let facts = r#"{"commands": [
+            {"address": 768, "mask": 32, "value": 0, "does": "start"},
+            {"address": 768, "mask": 32, "value": 32, "does": "stop"}], "banks": []}"#;
+        let described = described(facts, None);
+        assert_eq!(described.write(0x300, &33u32.to_be_bytes()), Done::Stop);
+        assert_eq!(described.word(0x300), 33u32.to_be_bytes());
+        assert_eq!(described.write(0x300, &1u32.to_be_bytes()), Done::Start);
+        assert_eq!(described.word(0x300), 1u32.to_be_bytes());
     }
 }
