@@ -139,10 +139,12 @@ def judge(camera, asked):
     for name, expected in (("PixelFormat", "mono8"), ("AcquisitionMode", "continuous")):
         if camera.get(name) is not None and plain(camera.get(name)) != expected:
             say(name, camera.get(name), expected)
-    packet = asked["packet"] and taken(camera.node("GevSCPSPacketSize"), asked["packet"])
-    for name, expected in (("Width", asked["size"][0]), ("Height", asked["size"][1]), ("GevSCPSPacketSize", packet)):
-        if expected and camera.get(name) is not None and camera.get(name) != expected:
+    for name, expected in (("Width", asked["size"][0]), ("Height", asked["size"][1])):
+        if camera.get(name) is not None and camera.get(name) != expected:
             say(name, camera.get(name), expected)
+    packet = camera.get("GevSCPSPacketSize") if asked["packet"] else None
+    if packet is not None and packet not in (asked["packet"], taken(camera.node("GevSCPSPacketSize"), asked["packet"])):
+        say("GevSCPSPacketSize", packet, asked["packet"])
     line(camera, asked["line"], wrong)
     for name in ("PixelFormat", "Width", "Height", "OffsetX", "OffsetY", "GevSCPSPacketSize", "UserSetSelector", "AcquisitionMode"):
         found[name] = camera.get(name)

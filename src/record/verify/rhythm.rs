@@ -28,11 +28,19 @@ struct Fit {
     frames: Vec<Frame>,
 }
 
-/// The frames of a camera's warm-up at their triggers; empty where the rhythm is not heard.
+/// The frames of a camera's warm-up at their triggers; empty where the rhythm is not heard. By arrivals alone it may be heard
+/// in the first of them, as a node hears it while they come: a host that stands still later takes nothing back.
 pub fn warm_up(seen: &[Seen], table: &Table) -> Vec<Frame> {
     let seen = &seen[..seen.len().min(FRAMES)];
-    let triggers = table.begin(TRIGGERS);
     let stamped = seen.iter().filter(|seen| seen.camera_ns != 0).count() * 2 > seen.len();
+    let least = if stamped { seen.len() } else { ENOUGH };
+    let mut first = (least..=seen.len()).rev().map(|count| heard(&seen[..count], stamped, table));
+    first.find(|frames| !frames.is_empty()).unwrap_or_default()
+}
+
+/// Where the rhythm is heard in all of these.
+fn heard(seen: &[Seen], stamped: bool, table: &Table) -> Vec<Frame> {
+    let triggers = table.begin(TRIGGERS);
     // By the camera's own clock, or by arrivals, in the HSU's time but for a constant.
     let at = |seen: &Seen| match stamped {
         true => Some(i128::from(seen.camera_ns)).filter(|ns| *ns != 0),

@@ -85,6 +85,28 @@ fn honest_recordings_are_good() {
     }
 }
 
+/// The node heard the rhythm in the first frames of a camera without stamps; then the host stood still.
+#[test]
+fn a_rhythm_that_was_heard_stays_heard() {
+    let mut take = Take::honest(Happens::Nothing, 4);
+    let of = |event: &NodeEvent| {
+        let camera = event.camera.as_ref().is_some_and(|id| id.as_str() == "h1_up");
+        WarmUp::of(event).filter(|sample| camera && matches!(sample, WarmUp::Frame { .. }))
+    };
+    let places: Vec<usize> =
+        (0..take.events.len()).filter(|place| of(&take.events[*place]).is_some()).collect();
+    for place in places.iter().rev().take(2) {
+        let Some(WarmUp::Frame { block, camera_time_ns, host_time_ns }) = of(&take.events[*place]) else {
+            continue;
+        };
+        let late = WarmUp::Frame { block, camera_time_ns, host_time_ns: host_time_ns + 25_000_000 };
+        let event = &take.events[*place];
+        take.events[*place] = late.event(event.camera.clone(), event.host_time_ns);
+    }
+    let report = verified(&[&take]);
+    assert!(report.worst.is_none(), "{}", text(&report));
+}
+
 /// Each forgery of an honest recording contradicts something, and what is said names the camera and the triggers.
 #[test]
 fn no_forged_recording_is_good() {
