@@ -97,6 +97,11 @@ pub const NOT_ASKED: &str = "node_not_asked";
 /// the end.
 pub const PTP_STATUS: &str = "ptp_status";
 
+/// Whether PTP keeps the clock of a camera that says this.
+pub fn ptp_keeps(status: &str) -> bool {
+    status == "Slave" || status == "Master"
+}
+
 /// One camera of a recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CameraHeader {
@@ -146,7 +151,7 @@ pub struct RecordingHeader {
     pub expected_triggers: Option<u64>,
     /// Triggers per second.
     pub trigger_rate_hz: f64,
-    /// Name of the clock behind every `host_time_ns`, for instance `CLOCK_REALTIME`.
+    /// Name of the clock behind every `host_time_ns`, for instance `CLOCK_REALTIME`: UTC, ns since 1970 without leap seconds.
     pub host_clock: String,
     /// Host time when the recording was created, ns.
     pub created_ns: u64,

@@ -28,6 +28,7 @@ mod segment_file;
 mod session;
 mod statistics;
 mod time_code;
+mod time_scale;
 mod topic;
 mod trigger_times;
 mod unfinished;
@@ -42,7 +43,7 @@ pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_
 pub use input_edge::InputEdge;
 pub use layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NOT_ASKED, NodeEvent,
-    PTP_STATUS, RecordingHeader, TriggerRecord, WarmUp,
+    PTP_STATUS, RecordingHeader, TriggerRecord, WarmUp, ptp_keeps,
 };
 pub use partial::{copy_frames, is_segment};
 pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};
@@ -50,6 +51,7 @@ pub use segment_file::BadRange;
 pub use session::{SessionReader, Unreadable, node_dir, open_each};
 pub use statistics::{DiskAccess, DiskProgress, WriteStatistics};
 pub use time_code::{HeardTimeCode, TimeCodeAt, TimeCodeLine};
+pub use time_scale::{ScaleFound, TimeScale};
 pub use unfinished::{Interrupted, interrupted};
 pub(crate) use verdict::CameraTally;
 pub use verdict::{CameraVerdict, Noted, SETTING_CHANGED, SessionEnd, Status, UNCONFIRMED, Verdict};
