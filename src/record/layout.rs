@@ -97,10 +97,15 @@ pub const NOT_ASKED: &str = "node_not_asked";
 /// the end.
 pub const PTP_STATUS: &str = "ptp_status";
 
-/// Whether PTP keeps the clock of a camera that says this.
+/// Whether PTP keeps the clock of a camera with this status.
 pub fn ptp_keeps(status: &str) -> bool {
     status == "Slave" || status == "Master"
 }
+
+/// The HSU's id in recordings of nodes that trigger their cameras by action commands.
+pub const ACTION_UNIT: [u8; 16] = *b"action-commands.";
+/// Kind of the event of a session whose cameras acted as soon as a command reached them: no PTP was in it.
+pub const ACTIONS_AT_ONCE: &str = "actions_at_once";
 
 /// One camera of a recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

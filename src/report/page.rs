@@ -370,6 +370,7 @@ mod tests {
             refused: 0,
             unconfirmed: 0,
             changed: Vec::new(),
+            not_simultaneous: Vec::new(),
             aborted: None,
             advice: Advice::default(),
         };
