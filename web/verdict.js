@@ -18,6 +18,7 @@ export function causesOf(verdict) {
   lines.push(...(verdict.advice ?? []));
   if (verdict.unconfirmed) lines.push(`${count(verdict.unconfirmed, "camera")} with frames of one witness`);
   lines.push(...(verdict.changed ?? []).map((changed) => `changed: ${changed}`));
+  lines.push(...(verdict.not_simultaneous ?? []).map((apart) => `not simultaneous with the others: ${apart}`));
   if (verdict.refused) lines.push(`${count(verdict.refused, "frame")} refused`);
   if (verdict.aborted) lines.push(`ended early: ${verdict.aborted}`);
   return lines;

@@ -45,7 +45,7 @@ const REFUSAL_LINES: Rate = Rate { per_second: 0.2, burst: 20.0 };
 /// One line.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditLine {
-    /// When, CLOCK_REALTIME, ns since 1970.
+    /// When, CLOCK_REALTIME (UTC), ns since 1970.
     pub host_time_ns: u64,
     /// The node that was asked.
     pub node: String,

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session that ended on every node, for the person and the script that asked for it.
 
+use crate::base::ids::one_line;
 use crate::base::{Exit, Fault};
 use crate::control::status::{CameraProgress, Outcome, SessionStatus};
 use crate::record::Status;
@@ -63,6 +64,8 @@ impl Captured {
                 Some(Outcome::Recorded(verdict)) => lines.extend(camera_lines(verdict)),
                 _ => lines.extend(last_heard(session, self.dry_run)),
             }
+            let doubts = session.outcome.as_ref().map(Outcome::doubts).unwrap_or_default();
+            lines.extend(doubts.iter().map(|doubt| format!("    {}", one_line(doubt))));
             lines.extend(session.notices.iter().map(|notice| format!("    {notice}")));
             if let Some(reason) = ended_early(session) {
                 lines.push(format!("    ended early: {reason}"));
@@ -218,6 +221,20 @@ mod tests {
         let lines = session.lines();
         assert_eq!(lines[2], "    h0_up: 20 frames, gaps: 20 not_triggered");
         assert_eq!(lines[3], "    h0_up takes every second trigger only");
+    }
+
+    #[test]
+    fn what_is_in_doubt_is_printed_behind_the_cameras() {
+        let mut session = captured(&["unconfirmed"], &[]);
+        session.nodes[0].1.outcome = Some(Outcome::Recorded(serde_json::json!({
+            "status": "unconfirmed",
+            "cameras": [{ "camera": "h0_up", "frames": 20, "gaps": {} }],
+            "changed": ["h0_up: Gain was 0, is 6"],
+            "not_simultaneous": ["h0_up, triggers 3 to 7: it came late"],
+        })));
+        let lines = session.lines();
+        assert_eq!(lines[3], "    settings changed while it ran: h0_up: Gain was 0, is 6");
+        assert_eq!(lines[4], "    not simultaneous with the others: h0_up, triggers 3 to 7: it came late");
     }
 
     #[test]

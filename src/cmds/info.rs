@@ -80,6 +80,8 @@ fn recording_json(recording: &RecordingReader) -> serde_json::Value {
         "time_code": describe::time_code(recording),
         "clock_samples": recording.clock_samples.len(),
         "clocks": describe::clocks(recording),
+        "actions": describe::actions(recording),
+        "ptp": describe::ptp(recording),
         "event_counts": counts,
         "event_kinds": events,
         "events": recording.events,
@@ -142,6 +144,7 @@ fn print_recording(recording: &RecordingReader) {
     print_segments(recording);
     print_cameras(&describe::cameras(recording));
     print_clocks(&describe::clocks(recording));
+    print_actions(recording);
     print_events(recording);
     match &recording.statistics {
         Some(statistics) => print_statistics(statistics),
@@ -254,6 +257,26 @@ fn print_clocks(clocks: &[ClockDescription]) {
             us(clock.residual_ns),
             us(clock.uncertainty_ns)
         );
+    }
+}
+
+/// What became of each camera's action commands, and its PTP statuses.
+fn print_actions(recording: &RecordingReader) {
+    let (actions, ptp) = (describe::actions(recording), describe::ptp(recording));
+    if !actions.is_empty() {
+        println!("  actions     commands to each camera, those of the warm-up among them");
+    }
+    for action in actions {
+        println!("    {:<21} {}", action.camera.as_str(), action.commands);
+    }
+    if !ptp.is_empty() {
+        println!("  PTP status  and how often it is recorded: at the beginning, at each change, at the end");
+    }
+    for camera in ptp {
+        let said = camera.statuses.iter().map(|(status, count)| format!("{status} {count}"));
+        let said = one_line(said.collect::<Vec<_>>().join(", "));
+        let scale = camera.scale.map_or_else(String::new, |scale| format!("; its clock counts {scale}"));
+        println!("    {:<21} {said}{scale}", camera.camera.as_str());
     }
 }
 

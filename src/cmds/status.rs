@@ -5,7 +5,7 @@ use super::connect::Connect;
 use super::failure::Failure;
 use crate::base::Exit;
 use crate::base::ids::one_line;
-use crate::control::status::NodeStatus;
+use crate::control::status::{NodeStatus, Outcome};
 use crate::telemetry::Grade;
 
 /// Show the health of the nodes: cameras, HSU link, disk, session.
@@ -89,6 +89,8 @@ fn print(status: &NodeStatus) {
             session.triggers
         );
         session.notices.iter().for_each(|notice| println!("    {}", one_line(notice)));
+        let doubts = session.outcome.as_ref().map(Outcome::doubts).unwrap_or_default();
+        doubts.iter().for_each(|doubt| println!("    {}", one_line(doubt)));
     }
     if let Some(worker) = &status.worker {
         println!("  worker: {}", one_line(&worker.line));

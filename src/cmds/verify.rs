@@ -12,8 +12,9 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 #[command(after_help = "\
 Prints one line per finding, then a line per node. Exit code 0: every frame is there and good; 3: frames are
-missing, and the recording says which and why, or one source alone says which trigger frames are of; 4: damaged,
-missing without a word, or contradicting itself.
+missing, and the recording says which and why, or something is unconfirmed; 4: damaged, missing without a word, or
+contradicting itself. Unconfirmed is what one source alone says, a setting that changed, and exposures that were not at
+the time of the others.
 
 Which trigger a frame is of is found again from the raw samples: block ids, timestamps by the recorded readings of the
 clocks, arrivals, and the HSU's trigger times. Two of them that are independent must agree.
@@ -99,11 +100,11 @@ fn print(report: &Report) {
             "good: every checksum and every count is right, and two sources agree on each frame's trigger"
         }
         Some(Severity::Unconfirmed) => {
-            "unconfirmed: every checksum and every count is right, but of some frames one source alone says which trigger \
-             they are of"
+            "unconfirmed: every checksum and every count is right, but not everything is confirmed: see the lines above \
+             that begin with this word"
         }
         Some(Severity::Loss) if report.is_unconfirmed() => {
-            "data loss; and of some frames one source alone says which trigger they are of"
+            "data loss; and not everything is confirmed: see the lines above that begin with `unconfirmed`"
         }
         Some(Severity::Loss) => "data loss, all of it accounted for",
         Some(Severity::Corrupt) => {

@@ -300,6 +300,20 @@ pub enum Outcome {
     Failed(Fault),
 }
 
+impl Outcome {
+    /// What is in doubt although every frame is there, a line each: settings that changed, exposures apart.
+    pub fn doubts(&self) -> Vec<String> {
+        let Self::Recorded(verdict) = self else { return Vec::new() };
+        let lines = |key: &str, what: &str| -> Vec<String> {
+            let lines = verdict[key].as_array().into_iter().flatten().filter_map(|line| line.as_str());
+            lines.map(|line| format!("{what}: {line}")).collect()
+        };
+        let mut doubts = lines("changed", "settings changed while it ran");
+        doubts.extend(lines("not_simultaneous", "not simultaneous with the others"));
+        doubts
+    }
+}
+
 /// Which session a command is for: a late command for another one is refused.
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]

@@ -9,7 +9,9 @@
 use crate::base::clock_fit::{ClockFit, Exchange};
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::data::FrameSource;
-use crate::record::{ClockSample, NodeEvent, PTP_STATUS, RecordingReader, SessionReader};
+use crate::record::{
+    ClockSample, NodeEvent, PTP_STATUS, RecordingReader, ScaleFound, SessionReader, ptp_keeps,
+};
 
 /// Frames of each witness that its delay is measured by.
 const LOOKS: usize = 256;
@@ -51,6 +53,8 @@ pub struct PtpTime {
     pub witnesses: Vec<Witness>,
     /// Why there is none although cameras have PTP.
     pub none_because: Option<String>,
+    /// Which scale that clock has: that of the first witness.
+    pub scale: Option<ScaleFound>,
 }
 
 impl PtpTime {
@@ -78,7 +82,7 @@ impl PtpTime {
             }
         }
         witnesses.sort_by(|a, b| (a.open_ns, &a.camera).cmp(&(b.open_ns, &b.camera)));
-        let mut found = Self { witnesses, none_because: None };
+        let mut found = Self { witnesses, none_because: None, scale: None };
         if let Some(contradiction) = found.contradiction(session) {
             found.witnesses.clear();
             reasons = vec![contradiction];
@@ -86,6 +90,10 @@ impl PtpTime {
         if found.witnesses.is_empty() && !reasons.is_empty() {
             found.none_because = Some(reasons.join("; "));
         }
+        found.scale = found.witnesses.first().and_then(|witness| {
+            let recording = session.recordings().get(witness.recording)?;
+            ScaleFound::of(&witness.camera, &recording.clock_samples)
+        });
         found
     }
 
@@ -144,8 +152,7 @@ fn kept_time(camera: &CameraId, events: &[NodeEvent]) -> Option<Result<(), Strin
     if said.is_empty() {
         return None;
     }
-    let kept = |status: &str| status == "Slave" || status == "Master";
-    Some(if let Some(other) = said.iter().find(|status| !kept(status)) {
+    Some(if let Some(other) = said.iter().find(|status| !ptp_keeps(status)) {
         Err(format!("its PTP status was {other}, expected Slave or Master throughout"))
     } else if own.any(|event| event.kind == "camera_back" || event.kind == "camera_clock_reset") {
         Err("it was lost for a while, or its clock was set".to_owned())

@@ -7,14 +7,15 @@
 //! | `camera`, `node` | names in the rig; no node where its recording cannot be read |
 //! | `outcome` | `frame`, the cause of a gap, or `damaged` |
 //! | `block_id` | as the camera sent it |
-//! | `camera_time_ns` | begin of the exposure, the camera's clock |
-//! | `host_time_ns` | arrival of the frame, the node's clock |
-//! | `hsu_time_ns` | the trigger, the HSU's clock |
-//! | `hsu_host_time_ns` | arrival of the HSU's report, the node's clock |
+//! | `camera_time_ns` | begin of the exposure, the camera's clock; with PTP of the scale `ptp_scale`, else since it was switched on |
+//! | `host_time_ns` | arrival of the frame, the node's clock: UTC |
+//! | `hsu_time_ns` | the trigger, the HSU's clock: since it was switched on |
+//! | `hsu_host_time_ns` | arrival of the HSU's report, the node's clock: UTC |
 //! | `ptp_time_ns`, `ptp_open_ns`, `ptp_camera` | the trigger on the cameras' PTP clock, what is open to either side, and by whom |
+//! | `ptp_scale` | what that clock counts: `TAI` (PTP's own scale), `UTC`, or `own` for neither |
 //! | `time_code` | of the trigger, `HH:MM:SS:FF.fff`; with drop frame `HH:MM:SS;FF.fff` |
 //!
-//! What is not known is empty.
+//! TAI and UTC are nanoseconds since 1970-01-01 00:00:00 of the scale; UTC without leap seconds. What is not known is empty.
 
 use super::ptp::{PtpInstant, PtpTime};
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -24,7 +25,7 @@ use std::ops::Range;
 
 /// The first line.
 pub const HEADER: &str = "trigger,camera,node,outcome,block_id,camera_time_ns,host_time_ns,hsu_time_ns,hsu_host_time_ns,time_code,\
-     ptp_time_ns,ptp_open_ns,ptp_camera";
+     ptp_time_ns,ptp_open_ns,ptp_camera,ptp_scale";
 
 /// Rows by outcome.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
@@ -50,13 +51,14 @@ pub fn write(
     let recordings = session.recordings();
     let lines: Vec<TimeCodeLine> = recordings.iter().map(|one| TimeCodeLine::of(&one.events)).collect();
     writeln!(out, "{HEADER}")?;
+    let scale = ptp.scale.map_or_else(String::new, |found| found.scale.to_string());
     for trigger in triggers.map(TriggerIndex) {
         let row = recordings.iter().find_map(|recording| recording.triggers.get(&trigger));
         let time_code = row.and_then(|row| lines.iter().find_map(|line| line.at(row.hsu_time_ns)));
         let time_code = time_code.map_or_else(String::new, |at| at.to_string());
         let ptp = ptp.at(session, trigger).map_or_else(
-            || ",,".to_owned(),
-            |PtpInstant { time_ns, open_ns, camera }| format!("{time_ns},{open_ns},{camera}"),
+            || ",,,".to_owned(),
+            |PtpInstant { time_ns, open_ns, camera }| format!("{time_ns},{open_ns},{camera},{scale}"),
         );
         for camera in cameras {
             let found = recordings.iter().find_map(|recording| {

@@ -3,10 +3,13 @@
 
 use super::camera_keeper::{clock_readings, exchange};
 use super::devices::Devices;
+use super::node_thread::Node;
+use crate::acquire::recorder::RecorderCommand;
 use crate::base::clock_fit::Exchange;
 use crate::base::ids::CameraId;
 use crate::base::{Exit, Fault};
 use crate::host::realtime;
+use crate::record::{ACTION_COMMANDS, ACTIONS_AT_ONCE, NodeEvent, ptp_keeps};
 use std::time::{Duration, Instant};
 
 /// Cameras agree on a master and set their clocks within this.
@@ -29,7 +32,7 @@ impl Devices {
             }
         } else {
             realtime::warn(
-                "actions_at_once",
+                ACTIONS_AT_ONCE,
                 "cameras act when an action command reaches them: exposures of a trigger differ by what this host and \
                  the network delay each packet; with trigger.ptp = true they are at one time"
                     .to_owned(),
@@ -65,7 +68,7 @@ impl Devices {
             let id = slot.config.id.clone();
             let Some(camera) = slot.camera.as_mut() else { continue };
             match camera.ptp_status() {
-                Ok(Some(status)) if !["Master", "Slave"].contains(&status.as_str()) => {
+                Ok(Some(status)) if !ptp_keeps(&status) => {
                     troubles.push(format!(
                         "camera {id}: PtpStatus is {status}, expected Master or Slave within {seconds} s: let the \
                          switch pass multicast (224.0.1.129, UDP ports 319 and 320) between the cameras, or say \
@@ -90,6 +93,34 @@ impl Devices {
         }
         troubles.extend(apart(&clocks).into_iter().map(|trouble| format!("{trouble} (within {seconds} s)")));
         troubles
+    }
+}
+
+impl Node {
+    /// Puts into the recording what became of the action commands: the counts of each camera, and at which triggers it did
+    /// not expose at the time of the others.
+    pub(super) fn tell_actions(&self) {
+        let (Some(session), Some(action)) = (&self.session, self.devices.unit().action()) else { return };
+        for (camera, counts) in action.tally.counts() {
+            if !counts.is_clean() {
+                tracing::warn!(%camera, kind = ACTION_COMMANDS, "{counts}");
+            }
+            session.tell(RecorderCommand::Event(NodeEvent {
+                host_time_ns: session.clock.now(),
+                kind: ACTION_COMMANDS.to_owned(),
+                camera: Some(camera),
+                trigger: None,
+                message: counts.to_string(),
+            }));
+        }
+        // What came before Record is not recorded.
+        let first = session.kept.as_ref().map_or(0, |kept| kept.first);
+        for (camera, row, why) in action.tally.untimely() {
+            let Some(row) = row.behind(first) else { continue };
+            let event = row.event(camera.clone(), &why, session.clock.now());
+            tracing::warn!(%camera, kind = %event.kind, trigger = row.first, "{}", event.message);
+            session.tell(RecorderCommand::Event(event));
+        }
     }
 }
 

@@ -3,13 +3,14 @@
 //! back when it was lost. So nothing that a camera does or does not do makes the node's own thread wait.
 
 use super::devices::{OpenCamera, SharedBackend};
+use super::ptp_watch::PtpWatch;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::RecorderCommand;
 use crate::base::clock_fit::{Exchange, RESET_RUN};
 use crate::base::time::HostClock;
 use crate::camera::{Camera, CameraClockSample, CameraError, StreamOptions, quiet_stream};
 use crate::host::frame_memory::Pool;
-use crate::hsu::action::PtpClock;
+use crate::hsu::action::{ActionTally, PtpClock};
 use crate::record::{ClockSample, GapCause, NodeEvent, PTP_STATUS};
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
 use std::thread::JoinHandle;
@@ -79,6 +80,8 @@ pub struct AttendantSetup {
     pub reports: Sender<Report>,
     /// The clock of all cameras, where this is the one by which it is known.
     pub ptp: Option<PtpClock>,
+    /// Who must know by what clock it acts, where action commands are scheduled by PTP.
+    pub actions: Option<ActionTally>,
 }
 
 /// A running attendant.
@@ -106,9 +109,9 @@ impl CameraKeeper {
     pub fn start(setup: AttendantSetup, receiver: Receiver) -> std::io::Result<Self> {
         let (orders, inbox) = bounded(8);
         let name = format!("attend-{}", setup.receiver.camera);
+        let ptp = PtpWatch::new(setup.camera.config.id.clone(), setup.actions.clone());
         let thread = std::thread::Builder::new().name(name).spawn(move || {
-            let mut work =
-                Work { setup, receiver: Some(receiver), owned: None, holder: None, set: 0, ptp: None };
+            let mut work = Work { setup, receiver: Some(receiver), owned: None, holder: None, set: 0, ptp };
             work.run(&inbox);
             let counters = work.receiver.take().map(Receiver::stop).unwrap_or_default();
             (work.setup.camera, counters)
@@ -147,8 +150,7 @@ struct Work {
     holder: Option<String>,
     /// How many settings it was given when it was last back.
     set: usize,
-    /// What it said last of PTP, where that is on.
-    ptp: Option<String>,
+    ptp: PtpWatch,
 }
 
 impl Work {
@@ -207,32 +209,22 @@ impl Work {
         }
     }
 
-    /// Where PTP is on, what it has come to is noted, and looked at from then on.
     fn begin_ptp(&mut self) {
         let camera = self.setup.camera.camera.as_mut();
-        let status = camera.and_then(|camera| camera.ptp_status().ok().flatten());
-        self.ptp = status.filter(|status| !["Disabled", "Off"].contains(&status.as_str()));
-        if let Some(status) = self.ptp.clone() {
+        if let Some(status) = camera.and_then(|camera| self.ptp.begin(camera.as_mut())) {
             self.note(PTP_STATUS, status);
         }
     }
 
-    /// Notes what became of PTP: at the end of the session, and where it is not as it was.
     fn look_at_ptp(&mut self, at_the_end: bool) {
-        let Some(before) = &self.ptp else { return };
         let camera = self.setup.camera.camera.as_mut().filter(|_| self.receiver.is_some());
-        let status = match camera.map(|camera| camera.ptp_status()) {
-            Some(Ok(status)) => status,
+        match camera.map(|camera| self.ptp.look(camera.as_mut(), at_the_end)) {
+            Some(Ok(Some(status))) => self.note(PTP_STATUS, status),
             // Nothing that it says of its clock can be believed, and its frames are placed by that.
-            Some(Err(error @ CameraError::Nonsense { .. })) => return self.lost(&error),
+            Some(Err(error @ CameraError::Nonsense { .. })) => self.lost(&error),
             // A camera that does not answer is lost, and that is noted.
-            _ => return,
-        };
-        let status = status.unwrap_or_else(|| "not told".to_owned());
-        if at_the_end || status != *before {
-            self.note(PTP_STATUS, status.clone());
+            _ => {}
         }
-        self.ptp = Some(status);
     }
 
     /// Its control channel is gone: either the camera is, or it is not ours any more.
@@ -247,6 +239,7 @@ impl Work {
 
     fn lost(&mut self, error: &CameraError) {
         let Some(receiver) = self.receiver.take() else { return };
+        self.ptp.lost();
         let camera = self.setup.receiver.camera;
         let cause = match error {
             CameraError::NotOurs { .. } => GapCause::ControlLost,
@@ -316,8 +309,8 @@ impl Work {
             return Err(reason);
         }
         let set_up = camera.set_up(&self.setup.camera.wishes).map_err(text)?;
-        if self.ptp.is_some() {
-            camera.ptp_status().map_err(text)?;
+        if let Some(status) = self.ptp.look(camera.as_mut(), false).map_err(text)? {
+            self.note(PTP_STATUS, status);
         }
         self.setup.options.contract = set_up.contract;
         self.setup.camera.watched = set_up.watched;

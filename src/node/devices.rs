@@ -414,6 +414,9 @@ impl Devices {
         }
         let mut attendants = Vec::new();
         let ptp = self.ptp();
+        // At once, cameras act by nobody's clock.
+        let actions =
+            self.unit().action().filter(|action| action.ptp.is_some()).map(|action| action.tally.clone());
         for (receiver, setup) in running.into_iter().zip(receivers) {
             let slot = &mut self.slots[setup.camera];
             let setup = AttendantSetup {
@@ -427,6 +430,7 @@ impl Devices {
                 to_recorder: to_recorder.clone(),
                 reports: reports.clone(),
                 ptp: ptp.clone().filter(|_| setup.camera == REFERENCE),
+                actions: actions.clone(),
             };
             match CameraKeeper::start(setup, receiver) {
                 Ok(attendant) => attendants.push(attendant),

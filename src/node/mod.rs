@@ -11,6 +11,7 @@ mod hsu_keeper;
 mod input_lines;
 pub mod node_thread;
 mod prepare;
+mod ptp_watch;
 mod session;
 pub mod silence;
 mod silence_gate;

@@ -214,20 +214,6 @@ impl Node {
             };
             session.tell(RecorderCommand::Event(event));
         }
-        let tallies = self.devices.unit().action().map_or_else(Vec::new, |action| action.tally.counts());
-        for (camera, tally) in tallies {
-            if !tally.is_clean() {
-                tracing::warn!(%camera, kind = "action_commands", "{tally}");
-            }
-            let event = NodeEvent {
-                host_time_ns: session.clock.now(),
-                kind: "action_commands".to_owned(),
-                camera: Some(camera),
-                trigger: None,
-                message: tally.to_string(),
-            };
-            session.tell(RecorderCommand::Event(event));
-        }
         for (camera, changed) in self.devices.changed_settings() {
             let changes: Vec<String> =
                 changed.iter().map(|(name, was, is)| format!("{name} was {was}, is {is}")).collect();
@@ -241,6 +227,8 @@ impl Node {
             tracing::warn!(%camera, kind = SETTING_CHANGED, "{}", event.message);
             session.tell(RecorderCommand::Event(event));
         }
+        self.tell_actions();
+        let Some(session) = &mut self.session else { return };
         // A camera that was asked whether it still answers is found lost 2.5 s later, while this thread waited for its
         // attendant: the recording must say so before it is closed.
         let last_words: Vec<Report> = session.reports.try_iter().collect();

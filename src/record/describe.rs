@@ -3,6 +3,10 @@
 //!
 //! Nothing is checked here that opening a recording does not check; that is [`super::verify`].
 
+mod actions;
+
+pub use actions::{ActionDescription, PtpDescription, actions, ptp};
+
 use super::layout::{CameraHeader, ClockSample, GapCause};
 use super::reader::{Outcome, RecordingReader, SegmentReader};
 use super::scan::End;

@@ -97,6 +97,16 @@ pub const NOT_ASKED: &str = "node_not_asked";
 /// the end.
 pub const PTP_STATUS: &str = "ptp_status";
 
+/// Whether PTP keeps the clock of a camera with this status.
+pub fn ptp_keeps(status: &str) -> bool {
+    status == "Slave" || status == "Master"
+}
+
+/// The HSU's id in recordings of nodes that trigger their cameras by action commands.
+pub const ACTION_UNIT: [u8; 16] = *b"action-commands.";
+/// Kind of the event of a session whose cameras acted as soon as a command reached them: no PTP was in it.
+pub const ACTIONS_AT_ONCE: &str = "actions_at_once";
+
 /// One camera of a recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CameraHeader {
@@ -146,7 +156,7 @@ pub struct RecordingHeader {
     pub expected_triggers: Option<u64>,
     /// Triggers per second.
     pub trigger_rate_hz: f64,
-    /// Name of the clock behind every `host_time_ns`, for instance `CLOCK_REALTIME`.
+    /// Name of the clock behind every `host_time_ns`, for instance `CLOCK_REALTIME`: UTC, ns since 1970 without leap seconds.
     pub host_clock: String,
     /// Host time when the recording was created, ns.
     pub created_ns: u64,

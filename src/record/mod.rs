@@ -4,6 +4,7 @@
 //! `docs/design/recording.md` states what they must keep true. [`layout`] is the contract between writer and
 //! reader; [`Recording`] writes one node's part of a session; [`SessionReader`] reads a session back.
 
+mod action_counts;
 mod advice;
 mod belonging;
 pub mod catalogue;
@@ -16,6 +17,7 @@ mod frame_check;
 mod input_edge;
 pub mod layout;
 mod metadata;
+mod noted;
 mod open_chunk;
 mod partial;
 mod protobuf;
@@ -26,8 +28,10 @@ mod scan;
 mod segment;
 mod segment_file;
 mod session;
+mod simultaneous;
 mod statistics;
 mod time_code;
+mod time_scale;
 mod topic;
 mod trigger_times;
 mod unfinished;
@@ -36,23 +40,27 @@ pub mod verify;
 
 mod writer;
 
+pub use action_counts::{ACTION_COMMANDS, ActionCounts};
 pub use advice::Advice;
 pub use direct_io::{free_bytes, survive_file_limit};
 pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
 pub use input_edge::InputEdge;
 pub use layout::{
-    CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS, NOT_ASKED, NodeEvent,
-    PTP_STATUS, RecordingHeader, TriggerRecord, WarmUp,
+    ACTION_UNIT, ACTIONS_AT_ONCE, CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS,
+    NOT_ASKED, NodeEvent, PTP_STATUS, RecordingHeader, TriggerRecord, WarmUp, ptp_keeps,
 };
+pub use noted::{Noted, SETTING_CHANGED, UNCONFIRMED};
 pub use partial::{copy_frames, is_segment};
 pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};
 pub use segment_file::BadRange;
 pub use session::{SessionReader, Unreadable, node_dir, open_each};
+pub use simultaneous::{NOT_SIMULTANEOUS, NotSimultaneous, TriggerRow, TriggerRows};
 pub use statistics::{DiskAccess, DiskProgress, WriteStatistics};
 pub use time_code::{HeardTimeCode, TimeCodeAt, TimeCodeLine};
+pub use time_scale::{ScaleFound, TimeScale};
 pub use unfinished::{Interrupted, interrupted};
 pub(crate) use verdict::CameraTally;
-pub use verdict::{CameraVerdict, Noted, SETTING_CHANGED, SessionEnd, Status, UNCONFIRMED, Verdict};
+pub use verdict::{CameraVerdict, SessionEnd, Status, Verdict};
 #[cfg(test)]
 pub(crate) use writer::tests::header as two_cameras;
 pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

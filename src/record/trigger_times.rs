@@ -6,6 +6,7 @@
 
 use super::layout::TriggerRecord;
 use super::reader::RecordingReader;
+use super::time_scale::host_scale;
 use crate::base::ids::TriggerIndex;
 
 /// Where the trigger table lies on a host's clock.
@@ -58,7 +59,7 @@ impl TriggerTimes {
             Self::Nominal => 0,
         };
         let Some(header) = recordings.get(place).map(|one| &one.header) else { return String::new() };
-        let (clock, node) = (&header.host_clock, &header.node);
+        let (clock, node) = (host_scale(&header.host_clock), &header.node);
         match self {
             Self::Table { .. } => {
                 format!("the HSU's times, put on {clock} of node {node} by the report that arrived soonest")

@@ -2,7 +2,8 @@
 //! Counting outcomes: which triggers of a camera have one, and what a session amounts to at its end.
 
 use super::advice::{Advice, Rhythm};
-use super::layout::{GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader};
+use super::layout::{GapCause, MAX_TRIGGERS, RecordingHeader};
+use super::noted::Noted;
 use crate::base::ids::{CameraId, TriggerIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -16,7 +17,7 @@ pub enum Status {
     /// Every camera has a frame for every trigger that was asked for.
     Complete,
     /// As [`Self::Complete`], but of some frames one witness alone says which trigger they are of, or how they were taken
-    /// is in doubt, because a camera's settings changed.
+    /// is in doubt: a camera's settings changed, or exposures of a trigger were not at one time.
     Unconfirmed,
     /// Something is missing, and it is known what and why.
     Incomplete,
@@ -79,6 +80,9 @@ pub struct Verdict {
     /// Settings that were not as they had been set when the session ended, each with its camera.
     #[serde(default)]
     pub changed: Vec<String>,
+    /// Exposures that were not at the time of the others: camera, triggers and reason, a line each.
+    #[serde(default)]
+    pub not_simultaneous: Vec<String>,
     /// Why the session was aborted.
     pub aborted: Option<String>,
     /// What the pattern of the gaps shows, and what to do about it. Never read from a file: it is found from its records.
@@ -124,6 +128,7 @@ impl Verdict {
             refused: noted.refused,
             unconfirmed: noted.unconfirmed,
             changed: noted.changed,
+            not_simultaneous: noted.not_simultaneous.lines(),
             aborted: end.aborted,
         };
         verdict.status = verdict.judge();
@@ -137,7 +142,7 @@ impl Verdict {
         if self.aborted.is_some() {
             Status::Aborted
         } else if asked && counted && self.gaps() == 0 && self.refused == 0 {
-            if self.unconfirmed == 0 && self.changed.is_empty() {
+            if self.unconfirmed == 0 && self.changed.is_empty() && self.not_simultaneous.is_empty() {
                 Status::Complete
             } else {
                 Status::Unconfirmed
@@ -169,6 +174,9 @@ impl fmt::Display for Verdict {
         if !self.changed.is_empty() {
             write!(f, "; settings changed while it ran: {}", self.changed.join("; "))?;
         }
+        if !self.not_simultaneous.is_empty() {
+            write!(f, "; not simultaneous with the others: {}", self.not_simultaneous.join("; "))?;
+        }
         if let Some(reason) = &self.aborted {
             write!(f, "; {reason}")?;
         }
@@ -179,39 +187,6 @@ impl fmt::Display for Verdict {
             }
         }
         self.advice.0.iter().try_for_each(|line| write!(f, "\n  {line}"))
-    }
-}
-
-/// Kind of the events that name a camera of which one witness alone says which trigger some frames are of.
-pub const UNCONFIRMED: &str = "identity_unconfirmed";
-/// Kind of the events that name an outcome which was refused.
-pub const REFUSED: &str = "refused";
-
-/// Kind of the events that name the settings of a camera that changed while the session ran.
-pub const SETTING_CHANGED: &str = "setting_changed";
-/// So many of them are in a verdict.
-const CHANGED_MAX: usize = 16;
-
-/// What a recording's events say of its outcomes.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Noted {
-    /// Events of kind [`REFUSED`].
-    pub refused: u64,
-    /// Events of kind [`UNCONFIRMED`].
-    pub unconfirmed: u64,
-    /// Events of kind [`SETTING_CHANGED`], with their cameras.
-    pub changed: Vec<String>,
-}
-
-impl Noted {
-    /// Takes an event into account.
-    pub fn note(&mut self, event: &NodeEvent) {
-        self.refused += u64::from(event.kind == REFUSED);
-        self.unconfirmed += u64::from(event.kind == UNCONFIRMED);
-        if event.kind == SETTING_CHANGED && self.changed.len() < CHANGED_MAX {
-            let camera = event.camera.as_ref().map_or("", CameraId::as_str);
-            self.changed.push(format!("{camera}: {}", event.message));
-        }
     }
 }
 
@@ -350,9 +325,10 @@ impl CameraTally {
 
 #[cfg(test)]
 mod tests {
-    use super::{Advice, Noted, SETTING_CHANGED, Status, TriggerSet, Verdict};
+    use super::{Advice, Noted, Status, TriggerSet, Verdict};
     use crate::base::ids::CameraId;
     use crate::record::layout::NodeEvent;
+    use crate::record::{SETTING_CHANGED, TriggerRow};
     use proptest::prelude::*;
     use std::collections::BTreeSet;
 
@@ -376,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn a_setting_that_changed_is_in_the_verdict_by_name() {
+    fn a_setting_that_changed_and_exposures_apart_are_in_the_verdict_by_name() {
         let mut noted = Noted::default();
         let event = |kind: &str| NodeEvent {
             host_time_ns: 0,
@@ -394,6 +370,7 @@ mod tests {
             refused: 0,
             unconfirmed: 0,
             changed: noted.changed.clone(),
+            not_simultaneous: noted.not_simultaneous.lines(),
             aborted: None,
             advice: Advice::default(),
         };
@@ -403,6 +380,15 @@ mod tests {
         assert_eq!(verdict(&noted).judge(), Status::Unconfirmed);
         assert!(verdict(&noted).to_string().contains("h0_up: Gain was 0, is 6"));
         assert_eq!(noted.changed.len(), 16, "bounded");
+
+        let mut noted = Noted::default();
+        noted.note(&TriggerRow::all(11, 13).event(CameraId::from("h1_low"), "it came late", 0));
+        assert_eq!(verdict(&noted).judge(), Status::Unconfirmed);
+        let text = verdict(&noted).to_string();
+        assert!(
+            text.contains("not simultaneous with the others: h1_low, triggers 11 to 13: it came late"),
+            "{text}"
+        );
     }
 
     #[test]

@@ -12,6 +12,7 @@ mod readings;
 mod rhythm;
 mod rows;
 mod segment;
+mod simultaneous;
 mod table;
 mod witnesses;
 
@@ -34,7 +35,7 @@ const MAX_FINDINGS: usize = 10_000;
 pub enum Severity {
     /// Worth knowing; nothing is wrong.
     Note,
-    /// Nothing contradicts it, but one source alone says it.
+    /// Nothing contradicts it, but nothing confirms it: one source alone says it, or frames were not taken as agreed.
     Unconfirmed,
     /// Data is missing, and the recording says what and why.
     Loss,
@@ -129,7 +130,7 @@ struct Notes {
 }
 
 impl Report {
-    /// Whether of some frames one source alone says which trigger they are of.
+    /// Whether something is not confirmed: which trigger frames are of, or that they were taken as agreed.
     pub fn is_unconfirmed(&self) -> bool {
         self.findings.iter().any(|finding| finding.severity == Severity::Unconfirmed)
     }
@@ -223,6 +224,7 @@ pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Repor
             own.add(Severity::Note, None, None, None, "a single segment: integrity checked, outcomes not");
         } else {
             accounting::check(recording, &verdict, &mut own);
+            simultaneous::check(recording, &mut own);
         }
         notes.absorb(own);
         let (path, bytes) = (recording.path.clone(), length(recording));

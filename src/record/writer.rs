@@ -11,10 +11,11 @@ use super::layout::{
     ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, VERSION,
     segment_name,
 };
+use super::noted::{Noted, REFUSED};
 use super::open_chunk::QUEUE;
 use super::segment::{Closing, JsonChannel, Segment};
 use super::statistics::{DiskProgress, WriteStatistics};
-use super::verdict::{CameraTally, Noted, REFUSED, SessionEnd, Verdict};
+use super::verdict::{CameraTally, SessionEnd, Verdict};
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::host::frame_memory::Block;
 use serde::Serialize;

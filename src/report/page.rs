@@ -143,7 +143,7 @@ fn player(page: &mut String, trigger_rate_hz: f64, playing: &Playing) {
 
 /// Dates in the reader's own time.
 const DATES: &str = r#"
-for (const time of document.querySelectorAll("time")) time.textContent = new Date(Number(time.dataset.ns) / 1e6).toLocaleString();
+for (const time of document.querySelectorAll("time")) time.textContent = new Date(Number(time.dataset.ns) / 1e6).toLocaleString([], { timeZoneName: "short" });
 "#;
 
 /// The one cloud.
@@ -370,6 +370,7 @@ mod tests {
             refused: 0,
             unconfirmed: 0,
             changed: Vec::new(),
+            not_simultaneous: Vec::new(),
             aborted: None,
             advice: Advice::default(),
         };

@@ -97,6 +97,90 @@ fn what_becomes_of_a_command_shows_at_exactly_its_trigger() {
     assert_contains(&text_of(&info), &["action-commands"]);
 }
 
+/// Takes some 12 s. One camera gets commands a millisecond late, which no stamp shows; another one loses PTP's master for
+/// two seconds, and acts by its clock as before.
+#[test]
+fn exposures_that_were_not_at_one_time_are_named_with_camera_and_triggers() {
+    const LATE: [u64; 4] = [11, 12, 13, 130];
+    const AWAY: std::ops::Range<u64> = 50..100;
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let late = ActionFilter::new(|number| match u64::try_from(number).is_ok_and(|n| LATE.contains(&n)) {
+        // It leaves 10 ms early.
+        true => ActionFate::Late(Duration::from_millis(11)),
+        false => ActionFate::Arrives,
+    });
+    let away = Habits { ptp_away: Some((AWAY.start as i64, AWAY.end as i64)), ..Habits::default() };
+    let options = LaboratoryOptions {
+        action_fates: [("h1_low".to_owned(), late)].into(),
+        habits: [("h0_low".to_owned(), away)].into(),
+        ..bench(dir.path(), 85, "")
+    };
+    let laboratory = start_laboratory(&options);
+    let mut nodes = start_nodes(&laboratory);
+    let captured = capture(&laboratory, &mut nodes, "late", 160);
+    assert_eq!(captured.status.code(), Some(3), "{}", text_of(&captured));
+    let session = dir.path().join("sessions/late");
+    let by_host = |cause: &GapCause| matches!(cause, GapCause::IdentityMismatch | GapCause::NodePaused);
+    let gaps = check_frames(&session);
+    let lost: Vec<_> = gaps.iter().flatten().collect();
+    assert!(lost.len() <= 12 && lost.iter().all(|(_, cause)| by_host(cause)), "{gaps:?}");
+
+    // The node, `verify` and `info` say the same of it, in the same words.
+    let outcome = nodes[0].client.status().expect("the node answers").session.expect("a session").outcome;
+    let verdict = serde_json::to_value(outcome).expect("a value")["recorded"].clone();
+    let lines: Vec<String> = serde_json::from_value(verdict["not_simultaneous"].clone()).unwrap_or_default();
+    let of = |camera: &str, why: &str| {
+        let begin = format!("{camera}, trigger");
+        lines.iter().find(|line| line.starts_with(&begin) && line.contains(why)).cloned()
+    };
+    let late = of("h1_low", "late").unwrap_or_else(|| panic!("{verdict}"));
+    let away = of("h0_low", "Listening").unwrap_or_else(|| panic!("{verdict}"));
+    // A host that is too busy is late with commands of its own.
+    assert!(lines.iter().all(|line| *line == away || line.contains("came late")), "{lines:?}");
+    if lost.is_empty() {
+        assert_eq!(verdict["status"], "unconfirmed");
+    }
+    let path = session.display().to_string();
+    let info = fourdbody(&["info", &path]);
+    let status = fourdbody(&["status", "--nodes", &laboratory.urls()]);
+    let verified = verify(&session);
+    assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
+    for output in [&captured, &info, &status, &verified] {
+        assert_contains(&text_of(output), &[&late, &away]);
+    }
+
+    // Each trigger by number, for a script.
+    let found: serde_json::Value =
+        serde_json::from_slice(&fourdbody(&["verify", "--json", &path]).stdout).expect("JSON");
+    let covered = |camera: &str, trigger: u64| {
+        let findings = found["reports"][0]["findings"].as_array().into_iter().flatten();
+        findings.filter(|f| f["severity"] == "unconfirmed" && f["camera"] == camera).any(|f| {
+            let [first, last] = [0, 1].map(|place| f["triggers"][place].as_u64().unwrap_or(u64::MAX));
+            (first..=last).contains(&trigger)
+        })
+    };
+    assert!(LATE.into_iter().all(|trigger| covered("h1_low", trigger)), "{found}");
+    assert!(AWAY.into_iter().all(|trigger| covered("h0_low", trigger)), "{found}");
+    let told: serde_json::Value =
+        serde_json::from_slice(&fourdbody(&["info", "--json", &path]).stdout).expect("JSON");
+    let actions = told["recordings"][0]["actions"].as_array().cloned().unwrap_or_default();
+    assert_eq!(actions.len(), 4, "{actions:?}");
+    for camera in &actions {
+        let count = |what: &str| camera["commands"][what].as_u64().unwrap_or_else(|| panic!("{camera}"));
+        assert_eq!(count("sent"), 168, "{camera}");
+        let answers = ["acknowledged", "late", "refused", "unanswered"].map(count);
+        assert_eq!(answers.iter().sum::<u64>(), 168, "{camera}");
+        assert!(camera["camera"] != "h1_low" || count("late") >= 4, "{camera}");
+    }
+    let ptp = told["recordings"][0]["ptp"].as_array().cloned().unwrap_or_default();
+    assert_eq!(ptp.len(), 4, "{ptp:?}");
+    for camera in &ptp {
+        let listened = camera["statuses"].get("Listening").is_some();
+        assert_eq!(listened, camera["camera"] == "h0_low", "{camera}");
+    }
+    assert_contains(&text_of(&info), &["168 action commands sent", "Listening 1, Slave"]);
+}
+
 /// Takes some 10 s: without PTP, and then with a camera whose keys are otherwise.
 #[test]
 fn at_once_a_session_is_complete_and_keys_that_differ_are_refused_by_name() {

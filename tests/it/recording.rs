@@ -283,7 +283,7 @@ fn triggers_have_the_hsus_times_on_the_hosts_clock() {
             assert!(
                 reader
                     .time_base()
-                    .is_some_and(|base| base.contains("node a") && base.contains("CLOCK_REALTIME"))
+                    .is_some_and(|base| base.contains("node a") && base.contains("CLOCK_REALTIME (UTC)"))
             );
             for index in 0..12 {
                 let found = reader.trigger_time_ns(TriggerIndex(index)).expect("a time");

@@ -369,6 +369,7 @@ impl Controller {
         }
         let ignored = self.statistics.triggers_ignored_now.load(Relaxed);
         self.control.registers.nonsense = self.presence.talks_nonsense();
+        self.control.registers.no_master = self.presence.has_no_master();
         self.control.registers.triggers_ignored = u32::try_from(ignored).unwrap_or(u32::MAX);
         let arrivals = match self.actions.fate(datagram) {
             ActionFate::Arrives => 1,

@@ -56,6 +56,9 @@ pub struct Habits {
     pub extended_ids: bool,
     /// PTP never sets its clock: it listens for ever.
     pub ptp_listens: bool,
+    /// From one trigger of each train up to another it hears no master: its status is `Listening`, and its clock goes on
+    /// as PTP left it.
+    pub ptp_away: Option<(i64, i64)>,
     /// The number of left-over frames that it sends when an acquisition starts, one after each `stray_after`, as some
     /// do (aravis#762). Before its first frame it has none.
     pub strays: u32,
@@ -195,6 +198,7 @@ impl Habits {
                 tick_ns: table.tick_ns,
                 extended_ids: table.extended_ids,
                 ptp_listens: table.ptp_listens,
+                ptp_away: table.ptp_away.map(|away| (away.from_trigger, away.to_trigger)),
                 strays: table.strays,
                 stray_after: Duration::from_millis(table.stray_after_ms),
                 ids_go_on: table.ids_go_on,
@@ -259,6 +263,7 @@ struct Table {
     extended_ids: bool,
     #[serde(default)]
     ptp_listens: bool,
+    ptp_away: Option<AwayTable>,
     #[serde(default)]
     strays: u32,
     #[serde(default)]
@@ -280,6 +285,13 @@ struct Table {
     _without: Vec<String>,
     power_on: Option<FormTable>,
     frames: Option<FormTable>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AwayTable {
+    from_trigger: i64,
+    to_trigger: i64,
 }
 
 #[derive(Deserialize)]
@@ -327,12 +339,14 @@ mod tests {
     fn habits_are_read_by_camera_and_wrong_ones_refused() {
         let text = "[[habit]]\ncamera = \"h0_up\"\nclock = \"bootstrap\"\n\
             frames = { pixel_format = \"Mono16\", from_trigger = 20 }\n\
-            [[habit]]\ncamera = \"h0_low\"\npower_on = { appended = 16, announced = true }\n";
+            [[habit]]\ncamera = \"h0_low\"\npower_on = { appended = 16, announced = true }\n\
+            ptp_away = { from_trigger = 40, to_trigger = 90 }\n";
         let habits = Habits::parse(text).expect("valid");
         let up = habits["h0_up"];
         assert_eq!(up.clock, ClockHabit::Bootstrap);
         assert_eq!(up.frames.map(|(from, form)| (from, form.format)), Some((20, 0x0110_0007)));
         assert_eq!(habits["h0_low"].power_on, Form { appended: 16, announced: true, ..Form::default() });
+        assert_eq!((up.ptp_away, habits["h0_low"].ptp_away), (None, Some((40, 90))));
         for wrong in ["clock = \"sun\"", "frames = { pixel_format = \"Grey\" }", "colour = 1"] {
             assert!(Habits::parse(&format!("[[habit]]\ncamera = \"c\"\n{wrong}\n")).is_err(), "{wrong}");
         }

@@ -14,6 +14,8 @@ pub struct Presence {
     boots: AtomicU64,
     /// Its registers hold what its description has no word for.
     nonsense: AtomicBool,
+    /// It hears no PTP master.
+    no_master: AtomicBool,
     /// Who is to be given control next.
     usurper: Mutex<Option<SocketAddrV4>>,
 }
@@ -49,6 +51,16 @@ impl Presence {
     /// Whether its registers hold nonsense.
     pub fn talks_nonsense(&self) -> bool {
         self.nonsense.load(SeqCst)
+    }
+
+    /// It hears no PTP master from now on, or hears one.
+    pub fn lose_master(&self, lost: bool) {
+        self.no_master.store(lost, SeqCst);
+    }
+
+    /// Whether it hears no PTP master.
+    pub fn has_no_master(&self) -> bool {
+        self.no_master.load(SeqCst)
     }
 
     /// Control shall go to another client.

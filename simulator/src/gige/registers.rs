@@ -115,6 +115,8 @@ pub struct Registers {
     no_entry: bool,
     /// Some registers hold what the description has no word for.
     pub nonsense: bool,
+    /// It hears no PTP master, and its clock goes on as it was set.
+    pub no_master: bool,
 }
 
 impl Registers {
@@ -126,6 +128,7 @@ impl Registers {
             xml: genicam::xml(&identity.model, &habits),
             no_entry: habits.no_entry,
             nonsense: false,
+            no_master: false,
             habits,
             firmware: None,
             described: None,

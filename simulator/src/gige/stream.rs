@@ -255,6 +255,9 @@ impl Streamer {
         if let Some(absence) = &mut self.absence {
             absence.follow(&edge);
         }
+        if let Some((from, to)) = self.habits.ptp_away {
+            self.presence.lose_master((from..to).contains(&edge.instant));
+        }
         if self.sense_from.take_if(|from| edge.instant >= *from).is_some() {
             self.presence.talk_nonsense(false);
         }

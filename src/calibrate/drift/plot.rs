@@ -114,8 +114,11 @@ impl<'a> Plot<'a> {
         for (ns, anchor) in [(self.from_ns, "start"), (self.to_ns, "end")] {
             let x = if anchor == "start" { LEFT } else { RIGHT };
             let day = day(ns);
-            let _ =
-                write!(out, "<text x=\"{x}\" y=\"{}\" text-anchor=\"{anchor}\">{day}</text>", BOTTOM + 34.0);
+            let _ = write!(
+                out,
+                "<text x=\"{x}\" y=\"{}\" text-anchor=\"{anchor}\">{day} UTC</text>",
+                BOTTOM + 34.0
+            );
         }
         if let Some(last) = history.last() {
             let y = self.y(last.most_mm);

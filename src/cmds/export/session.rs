@@ -170,6 +170,9 @@ fn report(
                 witness.open_ns as f64 / 1e3,
                 ptp.witnesses.len()
             );
+            if let Some(scale) = ptp.scale {
+                println!("the PTP clock counts {scale}");
+            }
         } else if let Some(reason) = &ptp.none_because {
             println!("no PTP time: {reason}");
         }

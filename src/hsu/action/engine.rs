@@ -10,6 +10,7 @@ use super::{ActionSetup, PRODUCT, request_id};
 use crate::base::time::monotonic_ns;
 use crate::host::realtime;
 use crate::network::{GVCP_PORT, action, action_reply};
+use crate::record::ACTION_UNIT;
 use hsu_firmware_proto::frame::{self, Decoder};
 use hsu_firmware_proto::{
     HeadTiming, Identity, LinkId, MAX_MESSAGE, NodeName, State, TriggerRecord, Unit, UnitOutputs, UnitToHost,
@@ -46,11 +47,7 @@ fn identity() -> Identity {
         number(env!("CARGO_PKG_VERSION_MINOR")),
         number(env!("CARGO_PKG_VERSION_PATCH")),
     ];
-    Identity {
-        name: NodeName::new(PRODUCT).unwrap_or(NodeName::NONE),
-        unique_id: *b"action-commands.",
-        firmware,
-    }
+    Identity { name: NodeName::new(PRODUCT).unwrap_or(NodeName::NONE), unique_id: ACTION_UNIT, firmware }
 }
 
 struct Engine {
@@ -105,11 +102,12 @@ impl UnitOutputs for Wires {
             // Without the clock there is no time to say; the trigger is nobody's, and shows as a gap.
             Some(at_ns) => at_ns.map(|at_ns| action(id, self.setup.keys, Some(at_ns))),
         };
+        self.setup.tally.fires(trigger.number, trigger.time_ns);
         for (place, (_, address)) in self.setup.cameras.iter().enumerate() {
             let sent = datagram
                 .as_ref()
                 .is_some_and(|bytes| self.socket.send_to(bytes, (*address, GVCP_PORT)).is_ok());
-            self.setup.tally.sent(place, id, sent);
+            self.setup.tally.sent(place, trigger.number, sent);
         }
     }
 }

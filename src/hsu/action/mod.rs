@@ -10,9 +10,10 @@ mod pipe;
 mod probe;
 mod ptp_clock;
 mod tally;
+mod untimely;
 
 pub use ptp_clock::PtpClock;
-pub use tally::{ActionTally, CameraTally};
+pub use tally::ActionTally;
 
 use super::error::HsuError;
 use super::unit::{Hsu, HsuTimeouts};

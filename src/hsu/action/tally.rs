@@ -1,121 +1,154 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What became of the action commands, by camera: each is sent once, and acknowledged once at most.
 
+use super::request_id;
+use super::untimely::Untimely;
 use crate::base::ids::CameraId;
+use crate::base::time::monotonic_ns;
 use crate::network::ActionStatus;
+use crate::record::{ActionCounts, TriggerRow};
 use std::collections::VecDeque;
-use std::fmt;
 use std::net::Ipv4Addr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 /// Commands whose answer may still come.
 const OUTSTANDING: usize = 256;
-
-/// Counts of one camera.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct CameraTally {
-    /// Commands sent.
-    pub sent: u64,
-    /// Those that this host's network refused, or for which the cameras' clock was not known.
-    pub unsent: u64,
-    /// Those that the camera took in time.
-    pub taken: u64,
-    /// Those that it took after their time.
-    pub late: u64,
-    /// Those that it refused.
-    pub refused: u64,
-}
-
-impl CameraTally {
-    /// Those that it did not answer.
-    pub fn unanswered(&self) -> u64 {
-        self.sent.saturating_sub(self.taken + self.late + self.refused)
-    }
-
-    /// Whether each came in time.
-    pub fn is_clean(&self) -> bool {
-        self.taken == self.sent && self.unsent == 0
-    }
-}
-
-impl fmt::Display for CameraTally {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { sent, unsent, taken, late, refused } = self;
-        write!(
-            f,
-            "{sent} action commands sent, {taken} acknowledged, {late} late, {refused} refused, {} unanswered, {unsent} \
-             not sent",
-            self.unanswered()
-        )
-    }
-}
 
 #[derive(Debug)]
 struct Camera {
     id: CameraId,
     address: Ipv4Addr,
-    tally: CameraTally,
-    outstanding: VecDeque<u16>,
+    counts: ActionCounts,
+    untimely: Untimely,
+    /// Ids with their triggers.
+    outstanding: VecDeque<(u16, i64)>,
 }
 
-/// Counts of all cameras, shared by who sends and who tells.
+#[derive(Debug)]
+struct Train {
+    cameras: Vec<Camera>,
+    /// The newest trigger and its time, by this host's monotonic clock.
+    newest: Option<(i64, u64)>,
+}
+
+impl Train {
+    /// The first trigger that is not exposed yet: all, before the first one.
+    fn unexposed(&self) -> i64 {
+        match self.newest {
+            None => i64::MIN,
+            Some((number, at_ns)) if at_ns > monotonic_ns(Instant::now()) => number,
+            Some((number, _)) => number.saturating_add(1),
+        }
+    }
+
+    fn camera(&mut self, id: &CameraId) -> Option<&mut Camera> {
+        self.cameras.iter_mut().find(|camera| camera.id == *id)
+    }
+}
+
+/// Counts of all cameras, shared by who sends, who watches PTP, and who tells.
 #[derive(Debug, Clone)]
-pub struct ActionTally(Arc<Mutex<Vec<Camera>>>);
+pub struct ActionTally(Arc<Mutex<Train>>);
 
 impl ActionTally {
     pub(super) fn new(cameras: &[(CameraId, Ipv4Addr)]) -> Self {
         let camera = |(id, address): &(CameraId, Ipv4Addr)| Camera {
             id: id.clone(),
             address: *address,
-            tally: CameraTally::default(),
+            counts: ActionCounts::default(),
+            untimely: Untimely::default(),
             outstanding: VecDeque::new(),
         };
-        Self(Arc::new(Mutex::new(cameras.iter().map(camera).collect())))
+        let cameras = cameras.iter().map(camera).collect();
+        Self(Arc::new(Mutex::new(Train { cameras, newest: None })))
     }
 
-    fn cameras(&self) -> MutexGuard<'_, Vec<Camera>> {
+    fn train(&self) -> MutexGuard<'_, Train> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Counts from nothing again.
     pub fn begin(&self) {
-        for camera in self.cameras().iter_mut() {
-            camera.tally = CameraTally::default();
+        let mut train = self.train();
+        train.newest = None;
+        for camera in &mut train.cameras {
+            camera.counts = ActionCounts::default();
+            camera.untimely = Untimely::default();
             camera.outstanding.clear();
         }
     }
 
-    /// A command was sent to the camera at this place, or not.
-    pub(super) fn sent(&self, place: usize, id: u16, sent: bool) {
-        let mut cameras = self.cameras();
-        let Some(camera) = cameras.get_mut(place) else { return };
-        match sent {
-            true => {
-                camera.tally.sent += 1;
-                camera.outstanding.push_back(id);
-                if camera.outstanding.len() > OUTSTANDING {
-                    camera.outstanding.pop_front();
-                }
-            }
-            false => camera.tally.unsent += 1,
+    /// The commands of a trigger are about to be sent; its time is this host's monotonic clock's.
+    pub(super) fn fires(&self, number: i64, at_ns: u64) {
+        self.train().newest = Some((number, at_ns));
+    }
+
+    /// The command of a trigger was sent to the camera at this place, or not.
+    pub(super) fn sent(&self, place: usize, number: i64, sent: bool) {
+        let mut train = self.train();
+        let Some(camera) = train.cameras.get_mut(place) else { return };
+        if !sent {
+            camera.counts.not_sent += 1;
+            return;
+        }
+        camera.counts.sent += 1;
+        camera.counts.unanswered += 1;
+        camera.outstanding.push_back((request_id(number), number));
+        if camera.outstanding.len() > OUTSTANDING {
+            camera.outstanding.pop_front();
         }
     }
 
     /// A camera answered. An answer that comes twice counts once: a network may double a packet.
     pub(super) fn answered(&self, from: Ipv4Addr, id: u16, status: ActionStatus) {
-        let mut cameras = self.cameras();
-        let Some(camera) = cameras.iter_mut().find(|camera| camera.address == from) else { return };
-        let Some(place) = camera.outstanding.iter().rposition(|other| *other == id) else { return };
-        camera.outstanding.remove(place);
+        let mut train = self.train();
+        let Some(camera) = train.cameras.iter_mut().find(|camera| camera.address == from) else { return };
+        let Some(place) = camera.outstanding.iter().rposition(|(other, _)| *other == id) else { return };
+        let Some((_, number)) = camera.outstanding.remove(place) else { return };
+        camera.counts.unanswered -= 1;
         match status {
-            ActionStatus::Taken => camera.tally.taken += 1,
-            ActionStatus::Late => camera.tally.late += 1,
-            _ => camera.tally.refused += 1,
+            ActionStatus::Taken => camera.counts.acknowledged += 1,
+            ActionStatus::Late => camera.counts.late += 1,
+            _ => camera.counts.refused += 1,
+        }
+        camera.untimely.answered(number, status);
+    }
+
+    /// The first trigger that is not exposed yet: to be read before a camera's PTP status is.
+    pub fn unexposed(&self) -> i64 {
+        self.train().unexposed()
+    }
+
+    /// A camera's PTP status was read; before that, `asked` was the first trigger not exposed yet.
+    pub fn ptp(&self, camera: &CameraId, status: &str, asked: i64) {
+        let mut train = self.train();
+        let now = train.unexposed();
+        if let Some(camera) = train.camera(camera) {
+            camera.untimely.ptp(status, asked, now);
+        }
+    }
+
+    /// A camera was lost, and its PTP status does not hold any more.
+    pub fn lost(&self, camera: &CameraId) {
+        if let Some(camera) = self.train().camera(camera) {
+            camera.untimely.lost();
         }
     }
 
     /// The counts so far.
-    pub fn counts(&self) -> Vec<(CameraId, CameraTally)> {
-        self.cameras().iter().map(|camera| (camera.id.clone(), camera.tally)).collect()
+    pub fn counts(&self) -> Vec<(CameraId, ActionCounts)> {
+        self.train().cameras.iter().map(|camera| (camera.id.clone(), camera.counts)).collect()
+    }
+
+    /// Triggers of the train at which a camera did not, or may not have, exposed at the time of the others, with the reason.
+    pub fn untimely(&self) -> Vec<(CameraId, TriggerRow, String)> {
+        let train = self.train();
+        let now = train.unexposed();
+        let rows = |camera: &Camera| {
+            let id = camera.id.clone();
+            camera.untimely.rows(now).into_iter().map(move |(row, why)| (id.clone(), row, why))
+        };
+        train.cameras.iter().flat_map(rows).collect()
     }
 }

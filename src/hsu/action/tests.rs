@@ -6,7 +6,8 @@ use crate::base::clock_fit::Exchange;
 use crate::base::ids::{CameraId, NodeId};
 use crate::base::time::monotonic_ns;
 use crate::hsu::{ArmRequest, EndReason, HeadTiming, Hsu, HsuEvent, HsuTimeouts, HsuTiming, SessionId, Sync};
-use crate::network::{ActionKeys, GVCP_PORT, action};
+use crate::network::{ActionKeys, ActionStatus, GVCP_PORT, action};
+use crate::record::ActionCounts;
 use std::net::{Ipv4Addr, UdpSocket};
 use std::time::{Duration, Instant};
 
@@ -77,7 +78,7 @@ fn at_once_each_trigger_is_one_command_and_one_report() {
     let expected: Vec<Vec<u8>> = (-3..5).map(|n| action(request_id(n), setup.keys, None)).collect();
     assert_eq!(received(&socket), expected);
     let (_, tally) = setup.tally.counts().remove(0);
-    assert_eq!((tally.sent, tally.taken, tally.unanswered()), (8, 0, 8), "nobody answered");
+    assert_eq!((tally.sent, tally.acknowledged, tally.unanswered), (8, 0, 8), "nobody answered");
 }
 
 #[test]
@@ -115,10 +116,53 @@ fn without_a_reading_of_the_clock_nothing_is_scheduled_and_that_is_counted() {
     let setup = setup(Ipv4Addr::new(127, 0, 136, 3), Some(PtpClock::default()));
     train(&setup, 2);
     assert_eq!(received(&socket), Vec::<Vec<u8>>::new());
-    assert_eq!(setup.tally.counts()[0].1.unsent, 5);
+    assert_eq!(setup.tally.counts()[0].1.not_sent, 5);
 }
 
 #[test]
 fn ids_count_the_triggers_and_are_never_0() {
     assert_eq!([-3, -1, 0, 1, 65533, 65534, 65535].map(request_id), [65533, 65535, 1, 2, 65534, 65535, 1]);
+}
+
+#[test]
+fn answers_are_counted_once_and_what_came_late_is_named_with_its_trigger() {
+    let address = Ipv4Addr::new(127, 0, 136, 4);
+    let (id, tally) = (CameraId("c".to_owned()), setup(address, None).tally);
+    let fire = |number: i64, at_ns: u64| {
+        tally.fires(number, at_ns);
+        tally.sent(0, number, true);
+    };
+    let answer = |number: i64, status: ActionStatus| {
+        tally.answered(address, request_id(number), status);
+        tally.answered(address, request_id(number), status);
+    };
+    fire(-1, 0);
+    fire(0, 0);
+    answer(-1, ActionStatus::Late);
+    answer(0, ActionStatus::Taken);
+    // Ids go round: these two have those of the two before.
+    fire(65_534, 0);
+    fire(65_535, 0);
+    answer(65_535, ActionStatus::Late);
+    let counts = ActionCounts { sent: 4, acknowledged: 1, late: 2, refused: 0, unanswered: 1, not_sent: 0 };
+    assert_eq!(tally.counts(), [(id.clone(), counts)]);
+    let named = |tally: &ActionTally| -> Vec<(u64, u64)> {
+        tally.untimely().iter().map(|(_, row, _)| (row.first, row.last)).collect()
+    };
+    assert_eq!(named(&tally), [(65_535, 65_535)], "the other one was of the warm-up");
+    tally.begin();
+    assert_eq!(named(&tally), []);
+    // PTP: what was not exposed when the last good status was asked for, up to what is not when the next one comes.
+    assert_eq!(tally.unexposed(), i64::MIN);
+    tally.ptp(&id, "Slave", tally.unexposed());
+    fire(4, 0);
+    fire(5, u64::MAX);
+    assert_eq!(tally.unexposed(), 5, "its time has not come");
+    tally.ptp(&id, "Slave", tally.unexposed());
+    fire(5, 0);
+    fire(6, 0);
+    tally.ptp(&id, "Faulty", tally.unexposed());
+    fire(7, 0);
+    tally.ptp(&id, "Slave", tally.unexposed());
+    assert_eq!(named(&tally), [(5, 7)]);
 }

@@ -4,8 +4,10 @@
 use super::{Notes, Severity};
 use crate::record::advice::Advice;
 use crate::record::layout::{GapCause, MAX_TRIGGERS};
+use crate::record::noted::{Noted, REFUSED, SETTING_CHANGED, UNCONFIRMED};
 use crate::record::reader::{Outcome, RecordingReader};
-use crate::record::verdict::{Noted, REFUSED, Status, UNCONFIRMED, Verdict};
+use crate::record::simultaneous::TriggerRow;
+use crate::record::verdict::{Status, Verdict};
 
 /// The verdict as the records have it. What records cannot show (the HSU's count, why it was aborted) comes
 /// from the stored one.
@@ -23,6 +25,7 @@ pub fn recount(recording: &RecordingReader) -> Verdict {
         refused: noted.refused,
         unconfirmed: noted.unconfirmed,
         changed: noted.changed,
+        not_simultaneous: noted.not_simultaneous.lines(),
         aborted: stored.and_then(|verdict| verdict.aborted.clone()),
         advice: Advice::of_recording(recording),
     };
@@ -74,11 +77,23 @@ pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) 
     } else if verdict.triggers_emitted.is_none() && recording.verdict.is_some() {
         notes.add(Severity::Loss, None, None, None, "the HSU's trigger count is missing");
     }
-    for event in recording.events.iter().filter(|event| [REFUSED, UNCONFIRMED].contains(&event.kind.as_str()))
-    {
+    for event in &recording.events {
         let trigger = event.trigger.map(|t| (t.0, t.0));
-        let severity = if event.kind == UNCONFIRMED { Severity::Unconfirmed } else { Severity::Loss };
-        notes.add(severity, None, event.camera.as_ref(), trigger, &event.message);
+        let severity = match event.kind.as_str() {
+            REFUSED => Some(Severity::Loss),
+            UNCONFIRMED | SETTING_CHANGED => Some(Severity::Unconfirmed),
+            _ => None,
+        };
+        if let Some(severity) = severity {
+            notes.add(severity, None, event.camera.as_ref(), trigger, &event.message);
+        }
+        if let Some((row, why)) = TriggerRow::of(event) {
+            let triggers = Some((row.first, row.last));
+            let whole = row == TriggerRow::all(row.first, row.last);
+            let some = if whole { String::new() } else { format!("{} of these are ", row.count) };
+            let message = format!("{some}not simultaneous with the others: {why}");
+            notes.add(Severity::Unconfirmed, None, event.camera.as_ref(), triggers, message);
+        }
     }
     for camera in 0..recording.outcomes.len() {
         check_outcomes(recording, camera, verdict.triggers, notes);

@@ -3,7 +3,9 @@
 
 use super::{Finding, Report, Severity, verify};
 use crate::base::ids::{CameraId, TriggerIndex};
-use crate::record::layout::{GapCause, NodeEvent, WarmUp};
+use crate::record::layout::{ACTIONS_AT_ONCE, GapCause, NodeEvent, PTP_STATUS, WarmUp};
+use crate::record::simultaneous::TriggerRow;
+use crate::record::verdict::Status;
 use forge::{Forge, Forgery, all};
 use take::{Happens, PERIOD, Take};
 
@@ -199,6 +201,51 @@ fn one_source_alone_is_not_enough() {
         assert!(report.is_unconfirmed(), "{what}: {}", text(&report));
         assert!(report.worst >= Some(Severity::Unconfirmed), "{what}: {}", text(&report));
     }
+}
+
+/// Exposures by actions that PTP schedules rest on PTP. Where it did not keep a camera's clock, camera and triggers are
+/// named: by the node's event, or where that is not there, by the recorded statuses. Triggers by wire rest on no PTP.
+#[test]
+fn exposures_that_rest_on_no_ptp_are_named() {
+    let of = |uid: &str, events: &[NodeEvent]| {
+        let mut take = Take::honest(Happens::Nothing, 3);
+        take.header.hsu.as_mut().expect("a unit").uid = uid.to_owned();
+        let mut said = |row: Option<usize>, status: &str| {
+            let at = row.map(|row| take.rows[row].host_time_ns + PERIOD.unsigned_abs() / 2);
+            take.events.push(NodeEvent {
+                host_time_ns: at.unwrap_or(take.rows[0].host_time_ns - 1_000_000_000),
+                kind: PTP_STATUS.to_owned(),
+                camera: Some("h0_up".into()),
+                trigger: None,
+                message: status.to_owned(),
+            });
+        };
+        said(None, "Slave");
+        said(Some(50), "Listening");
+        said(Some(70), "Faulty");
+        said(Some(100), "Slave");
+        take.events.extend(events.iter().cloned());
+        verified(&[&take])
+    };
+    let action = "action-commands.";
+    let unnamed = of(action, &[]);
+    let [finding] = &unnamed.findings[..] else { panic!("{}", text(&unnamed)) };
+    assert_eq!(finding.severity, Severity::Unconfirmed);
+    assert!(finding.to_string().contains("camera h0_up triggers 5"), "{finding}");
+    let (first, last) = finding.triggers.expect("triggers");
+    assert!((51..54).contains(&first) && (99..102).contains(&last), "{finding}");
+    assert_eq!(of("0123456789abcdef", &[]).worst, None, "triggers by wire");
+    let mut at_once = TriggerRow::all(0, 0).event("h0_up".into(), "", 0);
+    at_once.kind = ACTIONS_AT_ONCE.to_owned();
+    assert_eq!(of(action, &[at_once]).worst, None);
+
+    // The node names them: then its verdict says it, and `verify` the same from the files.
+    let named = of(action, &[TriggerRow::all(49, 101).event("h0_up".into(), "PTP was Listening", 0)]);
+    let [finding] = &named.findings[..] else { panic!("{}", text(&named)) };
+    assert_eq!((finding.severity, finding.triggers), (Severity::Unconfirmed, Some((49, 101))));
+    let verdict = &named.recordings[0].verdict;
+    assert_eq!(verdict.not_simultaneous, ["h0_up, triggers 49 to 101: PTP was Listening"]);
+    assert_eq!(verdict.status, Status::Unconfirmed);
 }
 
 /// Imported images have no clocks: what is said of them rests on their files' names, and no header makes images of frames.

@@ -79,7 +79,7 @@ impl Registers {
             Id::PtpStatus if self.nonsense => NO_ENTRY,
             Id::Width if self.nonsense => 0,
             Id::AcquisitionMode if self.no_entry => NO_ENTRY,
-            Id::PtpStatus => match (self.ptp, self.habits.ptp_listens) {
+            Id::PtpStatus => match (self.ptp, self.habits.ptp_listens || self.no_master) {
                 (false, _) => PTP_STATES[0].1,
                 (true, true) => PTP_STATES[1].1,
                 (true, false) => PTP_STATES[2].1,
