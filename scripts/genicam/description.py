@@ -221,6 +221,7 @@ def bound(node, which, otherwise):
 def kind(camera):
     """The network that it is made for, as far as its names say."""
     text = " ".join(camera.nodes)
-    if "Gev" in text:
+    if "Gev" in text or "StreamBytesPerSecond" in text:
         return "GigE"
-    return "USB3" if "U3V" in text or "USB" in text or "DeviceLinkThroughputLimit" in text and "Cxp" not in text else "other"
+    is_usb = any(name in text for name in ("U3V", "USB", "DeviceLinkThroughputLimit"))
+    return "USB3" if is_usb and "Cxp" not in text else "other"

@@ -160,6 +160,10 @@ fn run_description(python: &Path, file: &Path, number: u8, cases: &mut Vec<Case>
             return None;
         }
     };
+    if prepared.about.kind == "other" {
+        println!("skipped: {description} is neither of a GigE nor of a USB3 Vision camera");
+        return None;
+    }
     let vendor = prepared.about.vendor.as_deref().unwrap_or("?");
     let make = format!("{vendor} ({})", prepared.about.kind);
     let described = Arc::new(Described::load(file).expect("as just read"));
