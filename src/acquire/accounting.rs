@@ -317,9 +317,8 @@ impl Accounting {
             let count = followers.iter_mut().zip(behind).map(|(place, next)| *place = next).count();
             if last_call {
                 // Those behind it must show whether the host stood still, and their reports may be held up as well.
-                std::iter::once(&seen)
-                    .chain(&followers[..count])
-                    .for_each(|seen| self.infer_trigger(camera, seen));
+                self.infer_trigger(camera, &seen, false);
+                followers[..count].iter().for_each(|seen| self.infer_trigger(camera, seen, true));
             }
             if self.lanes[camera].matcher.wants_habits()
                 && let Some(habits) = self.lanes.iter().find_map(|lane| lane.matcher.habits())
@@ -360,9 +359,10 @@ impl Accounting {
         }
     }
 
-    /// A trigger whose report is held up is known all the same where two cameras agree on its number and its time: a
-    /// camera that ignored triggers, or whose clock was set, is alone with that.
-    fn infer_trigger(&mut self, camera: usize, seen: &Sighting) {
+    /// A trigger whose report is held up is known all the same where cameras agree on its number and its time: one that
+    /// ignored triggers, or whose clock was set, is alone with that. Two may have ignored as many: so for each camera that
+    /// contradicts more than two must agree, and where frames of others may still come (`early`), all must have been heard.
+    fn infer_trigger(&mut self, camera: usize, seen: &Sighting, early: bool) {
         let Some((number, hsu_ns)) = self.lanes[camera].matcher.claim(seen) else { return };
         if self.table.is_heard(number) || self.table.is_agreed(number) {
             return;
@@ -375,13 +375,27 @@ impl Accounting {
         if ahead > 0 && self.table.latest_ns().is_some_and(|latest| hsu_ns < earliest(latest)) {
             return;
         }
-        let agrees =
-            |(other, other_ns): (i64, i128)| other == number && (other_ns - hsu_ns).abs() <= tolerance_ns;
-        let others = self.lanes.iter().enumerate().filter(|(other, _)| *other != camera);
-        let mut claims = others.flat_map(|(_, lane)| {
-            lane.pending.iter().filter_map(|other| lane.matcher.claim(&sighting(&other.arrival)))
-        });
-        if let Some(hsu_ns) = u64::try_from(hsu_ns).ok().filter(|_| claims.any(agrees)) {
+        let (mut agree, mut contradict) = (1, 0);
+        for (other, lane) in self.lanes.iter().enumerate() {
+            if other == camera || lane.lost || !lane.matcher.is_placed() {
+                continue;
+            }
+            let (mut agrees, mut contradicts, mut heard) = (false, false, false);
+            let claims =
+                lane.pending.iter().filter_map(|other| lane.matcher.claim(&sighting(&other.arrival)));
+            for (other, other_ns) in claims {
+                let (same, near) = (other == number, (other_ns - hsu_ns).abs() <= tolerance_ns);
+                agrees |= same && near;
+                contradicts |= same != near;
+                heard |= other_ns >= hsu_ns - tolerance_ns;
+            }
+            if early && !heard {
+                return;
+            }
+            agree += usize::from(agrees);
+            contradict += usize::from(contradicts && !agrees);
+        }
+        if let Some(hsu_ns) = u64::try_from(hsu_ns).ok().filter(|_| agree >= 2 && agree > 2 * contradict) {
             self.table.infer(number, hsu_ns);
         }
     }

@@ -401,6 +401,44 @@ fn a_frame_that_comes_late_while_reports_are_held_up_costs_nothing() {
     }
 }
 
+/// While reports are held up, two of four cameras ignore a trigger each, and the others lose frames just then: that the two
+/// agree with each other files none of their frames one trigger too early.
+#[test]
+fn two_cameras_that_ignored_as_many_triggers_are_not_believed() {
+    let mut desk = Desk::new(4);
+    let held = 40..70;
+    let (ignored, lost) = ([43, 46], 44..47);
+    for trigger in 0..90 {
+        if trigger == held.end {
+            held.clone().for_each(|late| desk.report(late, due(late)));
+        }
+        if !held.contains(&trigger) {
+            desk.report(trigger, due(trigger));
+        }
+        for camera in 0..4 {
+            let missed = ignored.get(camera).is_some_and(|ignored| trigger > *ignored);
+            let arrives_ns = due(trigger) + 500_000;
+            if ignored.get(camera) != Some(&trigger) && !(camera > 1 && lost.contains(&trigger)) {
+                let block = trigger + 1 - u64::from(missed);
+                desk.frame_stamped((camera, 0), block, due(trigger), arrives_ns);
+            }
+        }
+        if trigger == held.end - 1 {
+            desk.last_call();
+        }
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 360);
+    let mut kept = 0;
+    for ((trigger, camera), outcome) in outcomes {
+        let missed = ignored.get(camera).is_some_and(|ignored| trigger > *ignored);
+        let right = trigger + 1 - u64::from(missed);
+        assert!(outcome.is_err() || outcome == Ok(right), "camera {camera}, trigger {trigger}: {outcome:?}");
+        kept += usize::from(outcome.is_ok());
+    }
+    assert!(kept >= 4 * 50, "{kept}");
+}
+
 /// Trigger 45 is ignored, and the timestamp of 49 is absurd: between them are too few frames for a host of which one in
 /// thirty came late. Behind the absurd one counter and clock contradict each other as before it.
 #[test]
