@@ -355,7 +355,7 @@ impl Work<'_> {
     }
 
     fn finish(mut self, plan: &Plan, musts: &[Must], triggers: &TriggersOn) -> Result<SetUp, CameraError> {
-        let contract = match verify(self.camera, self.wishes, plan.pixel_format.as_deref(), triggers) {
+        let contract = match verify(self.camera, self.wishes, plan.pixel_format.as_ref(), triggers) {
             Ok(contract) => Some(contract),
             Err(CameraError::SetUp { problems }) => {
                 // The reason why something was not set says more than that it is not so.
@@ -379,6 +379,7 @@ impl Work<'_> {
         }
         match contract {
             Some(contract) if self.problems.is_empty() => {
+                self.told.extend(contract.loss());
                 Ok(SetUp { contract, settings: self.settings, told: self.told, watched })
             }
             _ => Err(CameraError::SetUp { problems: self.problems }),

@@ -17,7 +17,7 @@ use fourdbody::config::CameraWords;
 use fourdbody::data::FrameSource;
 use fourdbody::record::{SETTING_CHANGED, SessionReader, UNCONFIRMED};
 use fourdbody_simulator::gige::{
-    CameraOptions, Exposures, Form, Habits, Make, SimulatedCamera, StampPoint, TestImages,
+    CameraOptions, Exposures, Form, Habits, Make, Payload, SimulatedCamera, StampPoint, TestImages,
 };
 use fourdbody_simulator::images::ImageSource;
 use fourdbody_simulator::laboratory::LaboratoryOptions;
@@ -265,7 +265,7 @@ fn variants() -> Vec<Case> {
         ("Mono16", Form { format: MONO16, told: MONO16, ..plain }),
         ("Mono16 in the leader", Form { told: MONO16, ..plain }),
         ("padded rows", Form { padding: 4, ..plain }),
-        ("chunks", Form { appended: 16, announced: true, ..plain }),
+        ("chunks", Form { appended: 16, payload: Payload::ImageWithChunks, ..plain }),
         ("bytes appended", Form { appended: 16, ..plain }),
         ("short packets", Form { short: 4, ..plain }),
     ];

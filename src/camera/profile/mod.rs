@@ -11,11 +11,14 @@ mod time;
 mod trigger;
 
 pub use action::PTP_SWITCHES;
+pub use image::uneven_rows;
 pub use must::{Must, Want, all as must_be};
 pub use trigger::{FRAME_TRIGGERS, frame_trigger, starts_a_frame, trigger_lines};
 
 use super::description::{Access, Description, Feature, list, nearest};
-use crate::config::{ActionConfig, CameraConfig, CameraWords, FeatureSetting, FeatureValue, NodeConfig};
+use crate::config::{
+    ActionConfig, CameraConfig, CameraWords, FeatureSetting, FeatureValue, NodeConfig, Pixel,
+};
 use std::fmt;
 use std::net::Ipv4Addr;
 
@@ -186,8 +189,16 @@ pub struct Plan {
     pub troubles: Vec<Trouble>,
     /// What an operator should know.
     pub told: Vec<String>,
-    /// The entry of `PixelFormat` that is Mono8, as the camera writes it.
-    pub pixel_format: Option<String>,
+    /// The entry of `PixelFormat` that is wanted, as the camera writes it, and what it is; none where it is left to settings.
+    pub pixel_format: Option<(String, Pixel)>,
+}
+
+impl Plan {
+    /// Bytes of an image, as far as its format is known.
+    fn image_bytes(&self, wishes: &Wishes) -> usize {
+        let pixel = self.pixel_format.as_ref().map_or(Pixel::Mono8, |(_, pixel)| *pixel);
+        pixel.bytes(wishes.size.0 * wishes.size.1)
+    }
 }
 
 /// How the words are said with a camera's features.
