@@ -39,6 +39,8 @@ use std::time::Duration;
 
 mod checked;
 mod device_features;
+#[cfg(test)]
+mod fake_tests;
 mod filter;
 mod test_packets;
 
