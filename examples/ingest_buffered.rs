@@ -52,7 +52,8 @@ impl Cameras {
         let mut threads = Vec::new();
         for (number, camera) in opened.iter_mut().enumerate() {
             let size = camera.image_size()?;
-            let contract = FrameContract { pixel: Pixel::Mono8, size, offset: (0, 0), chunk_room: 0 };
+            let contract =
+                FrameContract { pixel: Pixel::Mono8, size, place: (0, 0), offset: (0, 0), chunk_room: 0 };
             let blocks = (0..config.buffers_per_camera).map(|_| Block::allocate(contract.pixels())).collect();
             let (packet_bytes, socket) = (config.packet_bytes, config.socket);
             let options = StreamOptions { contract, packet_bytes, socket, period_ns };

@@ -18,7 +18,7 @@ use super::features::{Failed, Features, read_state};
 use super::packet_size;
 use super::profile::trigger_lines;
 use super::set_up::{changed, set_up};
-use super::unpack::unpack;
+use super::unpack::{take_plane, unpack};
 use super::{
     Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, Change,
     FrameStream, PacketTest, Received, SetUp, State, StreamOptions, Transfer, Wishes,
@@ -457,7 +457,11 @@ impl AravisStream {
 
     /// Makes the pixels of what was received, where they are not the same.
     fn to_8_bits(&self, block: &mut Block) -> Transfer {
-        let FrameContract { pixel, .. } = self.contract;
+        let FrameContract { pixel, size, place, .. } = self.contract;
+        if pixel.step() > 1 {
+            take_plane(block.received_mut(), size, place);
+            return Transfer::Complete;
+        }
         match unpack(pixel, block.received_mut(), self.contract.pixels()) {
             0 => Transfer::Complete,
             _ => Transfer::Breach(Breach::TooLarge(pixel)),

@@ -10,8 +10,10 @@ use std::fmt;
 pub struct FrameContract {
     /// What a pixel is as the camera sends it.
     pub pixel: Pixel,
-    /// Columns and rows.
+    /// Columns and rows of the recording's image.
     pub size: (usize, usize),
+    /// Where the recording's pixel lies among those that the camera sends for it: column and row.
+    pub place: (usize, usize),
     /// Column and row of the sensor at which the image begins.
     pub offset: (usize, usize),
     /// Room for chunks behind the image, bytes; 0: no frame may carry any.
@@ -24,9 +26,15 @@ impl FrameContract {
         self.size.0 * self.size.1
     }
 
+    /// Columns and rows of the image as the camera sends it.
+    pub fn sent_size(&self) -> (usize, usize) {
+        let step = self.pixel.step();
+        (self.size.0 * step, self.size.1 * step)
+    }
+
     /// Bytes of the image as the camera sends it.
     pub fn sent_bytes(&self) -> usize {
-        self.pixel.bytes(self.pixels())
+        self.pixel.sent_bytes(self.size)
     }
 
     /// Bytes of memory that a frame is received into.
@@ -43,7 +51,14 @@ impl FrameContract {
         let chunks = (self.chunk_room > 0).then(|| {
             format!("up to {} bytes of chunks follow each image, and are not recorded", self.chunk_room)
         });
-        bits.into_iter().chain(chunks).collect()
+        let plane = (self.pixel.step() > 1).then(|| {
+            let ((width, height), (columns, rows), (column, row)) = (self.size, self.sent_size(), self.place);
+            format!(
+                "of its {name} of {columns} x {rows} the plane of the head's colour is recorded, {width} x {height}: pixel \
+                 (u, v) of frames and calibration is pixel (2u + {column}, 2v + {row}) of the camera"
+            )
+        });
+        bits.into_iter().chain(chunks).chain(plane).collect()
     }
 }
 
@@ -81,7 +96,7 @@ pub struct ImageForm {
 /// How a frame breaks the contract.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Breach {
-    /// It is no plain image: something else, several parts, or an image with chunks that nobody has said.
+    /// It is no plain image: something else, several parts, or an image with chunks that were not agreed on.
     Payload(Payload),
     /// Its pixels are of another format.
     PixelFormat {
@@ -147,7 +162,7 @@ impl FrameContract {
         let (found, expected) = (form.bytes, self.sent_bytes());
         match form.chunks {
             None => (found != expected).then_some(Breach::Bytes { found, expected }),
-            // Either shows that no packet was short: the chunks are whole, or as many bytes came as the camera had said.
+            // Either shows that no packet was short: the chunks are whole, or as many bytes came as the camera had announced.
             Some(Chunks { first }) if first == Some(expected) => None,
             Some(Chunks { first: None }) if form.image.is_some() && found == self.received_bytes() => None,
             Some(Chunks { first }) => Some(Breach::Chunks { first, expected }),
@@ -162,8 +177,9 @@ impl FrameContract {
         if form.pixel_format != self.pixel.code() {
             return Some(Breach::PixelFormat { found: form.pixel_format, expected: self.pixel });
         }
-        if !same(form.size, self.size) {
-            return Some(Breach::Size { found: form.size, expected: self.size });
+        let size = self.sent_size();
+        if !same(form.size, size) {
+            return Some(Breach::Size { found: form.size, expected: size });
         }
         if !same(form.offset, self.offset) {
             return Some(Breach::Offset { found: form.offset, expected: self.offset });
@@ -186,7 +202,7 @@ const OTHERS: [(u32, &str); 8] = [
 
 /// A pixel format's name, and its code where it has none here.
 pub fn format_name(code: u32) -> String {
-    let grey = Pixel::ALL.iter().find(|pixel| pixel.code() == code).map(|pixel| pixel.name());
+    let grey = Pixel::GREY.iter().find(|pixel| pixel.code() == code).map(|pixel| pixel.name());
     let known = grey.or_else(|| OTHERS.iter().find(|(known, _)| *known == code).map(|(_, name)| *name));
     known.map_or_else(|| format!("pixel format {code:#010x}"), str::to_owned)
 }
@@ -246,10 +262,10 @@ impl fmt::Display for Breach {
 #[cfg(test)]
 mod tests {
     use super::{Breach, Chunks, FrameContract, FrameForm, ImageForm, format_name};
-    use crate::config::Pixel;
+    use crate::config::{Mosaic, Pixel};
 
     const CONTRACT: FrameContract =
-        FrameContract { pixel: Pixel::Mono8, size: (320, 200), offset: (0, 8), chunk_room: 0 };
+        FrameContract { pixel: Pixel::Mono8, size: (320, 200), place: (0, 0), offset: (0, 8), chunk_room: 0 };
 
     const IMAGE: ImageForm =
         ImageForm { pixel_format: 0x0108_0001, size: (320, 200), offset: (0, 8), padding: (0, 0) };
@@ -292,6 +308,21 @@ mod tests {
             deep.breach(&FrameForm { bytes: 64_000, ..twelve }),
             Some(Breach::Bytes { expected: 96_000, .. })
         ));
+    }
+
+    #[test]
+    fn a_plane_of_colour_is_a_quarter_of_what_is_sent() {
+        let plane = FrameContract { pixel: Pixel::Bayer8(Mosaic::GB), place: (1, 0), ..CONTRACT };
+        let form = |size, pixel_format| FrameForm {
+            bytes: 256_000,
+            ..of(ImageForm { pixel_format, size, ..IMAGE })
+        };
+        assert_eq!(plane.breach(&form((640, 400), 0x0108_000a)), None);
+        assert!(matches!(plane.breach(&form((320, 200), 0x0108_000a)), Some(Breach::Size { .. })));
+        // Its mosaic begins elsewhere than when it was set up.
+        let text = plane.breach(&form((640, 400), 0x0108_0009)).expect("another format").to_string();
+        assert!(text.contains("are BayerRG8, expected BayerGB8"), "{text}");
+        assert!(plane.loss()[0].contains("(2u + 1, 2v + 0)"), "{:?}", plane.loss());
     }
 
     /// Where they were agreed on, chunks follow the image: their own lengths say that all of them came, or all bytes do.

@@ -40,7 +40,9 @@ pub fn set_up(camera: &dyn Features, wishes: &Wishes) -> Result<SetUp, CameraErr
     let plan = profile::resolve(camera, wishes);
     work.problems.extend(plan.troubles.iter().map(ToString::to_string));
     work.told.extend(plan.told.iter().cloned());
-    work.told.extend(colours(camera)?);
+    if wishes.words.pixel.is_none_or(|pixel| pixel.step() == 1) {
+        work.told.extend(colours(camera)?);
+    }
     match packet_size::set(camera, wishes.link.packet_bytes)? {
         Ok(told) => work.told.extend(told),
         Err(problem) => work.problems.push(problem),

@@ -14,7 +14,7 @@ const STEP: usize = 2048;
 pub fn unpack(pixel: Pixel, memory: &mut [u8], count: usize) -> u16 {
     let mut read = [0; 2 * STEP];
     let mut seen = 0;
-    if pixel == Pixel::Mono8 || memory.len() < pixel.bytes(count) {
+    if matches!(pixel, Pixel::Mono8 | Pixel::Bayer8(_)) || memory.len() < pixel.bytes(count) {
         return 0;
     }
     for at in (0..count).step_by(STEP) {
@@ -27,10 +27,30 @@ pub fn unpack(pixel: Pixel, memory: &mut [u8], count: usize) -> u16 {
     seen.checked_shr(pixel.depth() as u32).unwrap_or(0)
 }
 
+/// Takes one pixel of each two by two of an image of 8 bits: column and row of it as `place`, `size` those of what is left.
+/// It is in front of what it is taken from, or there.
+pub fn take_plane(memory: &mut [u8], (width, height): (usize, usize), (column, row): (usize, usize)) {
+    let mut read = [0; 2 * STEP];
+    if memory.len() < 4 * width * height {
+        return;
+    }
+    for v in 0..height {
+        for at in (0..width).step_by(STEP) {
+            let pixels = STEP.min(width - at);
+            let from = (2 * v + row) * 2 * width + 2 * at;
+            read[..2 * pixels].copy_from_slice(&memory[from..from + 2 * pixels]);
+            let to = v * width + at;
+            for (to, from) in memory[to..to + pixels].iter_mut().zip(read.chunks_exact(2)) {
+                *to = from[column];
+            }
+        }
+    }
+}
+
 /// The upper 8 bits of each value; gives all bits that are set in values of two bytes.
 fn narrow(pixel: Pixel, read: &[u8], image: &mut [u8]) -> u16 {
     match pixel {
-        Pixel::Mono8 => image.copy_from_slice(read),
+        Pixel::Mono8 | Pixel::Bayer8(_) => image.copy_from_slice(read),
         // Four values, each beginning where the one before ends, the lowest bit first.
         Pixel::Mono10p => {
             for (to, from) in image.chunks_exact_mut(4).zip(read.chunks_exact(5)) {
@@ -69,7 +89,7 @@ fn narrow(pixel: Pixel, read: &[u8], image: &mut [u8]) -> u16 {
 
 #[cfg(test)]
 mod tests {
-    use super::unpack;
+    use super::{take_plane, unpack};
     use crate::config::Pixel;
     use proptest::prelude::*;
 
@@ -127,7 +147,7 @@ mod tests {
     proptest! {
         #[test]
         fn what_was_packed_comes_back_without_its_lower_bits(
-            pixel in prop::sample::select(Pixel::ALL.to_vec()),
+            pixel in prop::sample::select(Pixel::GREY.to_vec()),
             values in prop::collection::vec(any::<u16>(), 0..9000),
             behind in 0usize..20,
         ) {
@@ -140,6 +160,21 @@ mod tests {
             let expected: Vec<u8> = values.iter().map(|value| (value >> (depth - 8)) as u8).collect();
             prop_assert_eq!(&memory[..whole], &expected[..]);
             prop_assert!(memory.ends_with(&vec![0x5a; behind]), "what lies behind the image is not touched");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_plane_is_every_second_pixel_of_every_second_row(
+            width in 1usize..5000, height in 1usize..6, column in 0usize..2, row in 0usize..2, seed: u8,
+        ) {
+            let value = |u: usize, v: usize| (u * 7 + v * 31 + u / 256 + usize::from(seed)) as u8;
+            let mut memory: Vec<u8> =
+                (0..4 * width * height).map(|at| value(at % (2 * width), at / (2 * width))).collect();
+            take_plane(&mut memory, (width, height), (column, row));
+            for (at, found) in memory[..width * height].iter().enumerate() {
+                prop_assert_eq!(*found, value(2 * (at % width) + column, 2 * (at / width) + row));
+            }
         }
     }
 
@@ -158,7 +193,7 @@ mod tests {
     #[ignore = "prints figures and judges none: cargo test --release --lib unpack -- --ignored --nocapture"]
     fn cost_per_frame() {
         const PIXELS: usize = 1920 * 1200;
-        for pixel in &Pixel::ALL[1..] {
+        for pixel in &Pixel::GREY[1..] {
             // More than the caches hold, as in a session.
             let mut blocks: Vec<Vec<u8>> = (0..32).map(|_| vec![1; pixel.bytes(PIXELS)]).collect();
             let begin = std::time::Instant::now();

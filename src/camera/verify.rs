@@ -6,7 +6,7 @@ use super::contract::FrameContract;
 use super::features::{Failed, Features, answered};
 use super::profile::{FRAME_TRIGGERS, Wishes, starts_a_frame, uneven_rows};
 use super::triggers::TriggersOn;
-use crate::config::{FeatureValue, Pixel};
+use crate::config::{FeatureValue, Mosaic, Pixel};
 
 /// No camera appends more, bytes.
 const CHUNKS_MAX: usize = 1 << 20;
@@ -26,8 +26,8 @@ pub fn verify(
     triggers: &TriggersOn,
 ) -> Result<FrameContract, CameraError> {
     let mut check = Check { camera, problems: Vec::new() };
-    let (width, height) = wanted.size;
-    let pixel = check.pixel(format, width)?;
+    let pixel = check.pixel(format, wanted.size.0)?;
+    let (width, height) = (wanted.size.0 * pixel.step(), wanted.size.1 * pixel.step());
     let remedy = "set no other in `settings`, or correct the rig file";
     check.integer("Width", width, remedy)?;
     check.integer("Height", height, remedy)?;
@@ -44,8 +44,20 @@ pub fn verify(
         }
     }
     let offset = (check.offset("OffsetX")?, check.offset("OffsetY")?);
+    let place = match pixel {
+        Pixel::Bayer8(mosaic) => {
+            if offset.0 % 2 + offset.1 % 2 > 0 {
+                check.problems.push(format!(
+                    "OffsetX is {} and OffsetY is {}, expected even ones: some cameras name the colours as if they were",
+                    offset.0, offset.1
+                ));
+            }
+            mosaic.place(wanted.channel)
+        }
+        _ => (0, 0),
+    };
     match check.problems.is_empty() {
-        true => Ok(FrameContract { pixel, size: wanted.size, offset, chunk_room }),
+        true => Ok(FrameContract { pixel, size: wanted.size, place, offset, chunk_room }),
         false => Err(CameraError::SetUp { problems: check.problems }),
     }
 }
@@ -89,18 +101,29 @@ impl Check<'_> {
     fn pixel(&mut self, format: Option<&(String, Pixel)>, width: usize) -> Result<Pixel, CameraError> {
         const NAME: &str = "PixelFormat";
         let pixel = match format {
+            // What its mosaic begins with follows from where its image does: the camera's own name for it holds.
+            Some((entry, Pixel::Bayer8(_))) => {
+                let found = self.found(NAME, self.camera.text(NAME), entry)?.unwrap_or_default();
+                let known = Mosaic::ALL.map(Pixel::Bayer8).into_iter().find(|pixel| pixel.name() == found);
+                if known.is_none() {
+                    self.problems.push(format!(
+                        "{NAME} is {found}, expected {entry}: say pixel = \"bayer8\", and set no other in `settings`"
+                    ));
+                }
+                known.unwrap_or_default()
+            }
             Some((entry, pixel)) => {
                 let remedy = format!("say pixel = {:?}, and set no other in `settings`", pixel.word());
                 self.text(NAME, entry, &remedy)?;
                 *pixel
             }
             None => {
-                let all = Pixel::ALL.map(Pixel::name).join(", ");
+                let all = Pixel::GREY.map(Pixel::name).join(", ");
                 let expected = format!("one of {all}");
                 let Some(found) = self.found(NAME, self.camera.text(NAME), &expected)? else {
                     return Ok(Pixel::default());
                 };
-                let Some(pixel) = Pixel::ALL.into_iter().find(|pixel| pixel.name() == found) else {
+                let Some(pixel) = Pixel::GREY.into_iter().find(|pixel| pixel.name() == found) else {
                     let remedy = "say pixel = \"mono8\", and set no other in `settings`";
                     self.problems.push(format!("{NAME} is {found}, expected {expected}: {remedy}"));
                     return Ok(Pixel::default());

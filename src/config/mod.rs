@@ -19,7 +19,7 @@ pub use node::{
     CameraConfig, FeatureSetting, FeatureValue, NodeConfig, OnLoss, QuickLookConfig, Realtime, SocketMode,
     WhenFull,
 };
-pub use pixel::Pixel;
+pub use pixel::{Mosaic, Pixel};
 pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
 pub use section::Section;
 pub use trigger::{ActionConfig, TriggerSource};

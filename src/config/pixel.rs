@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The forms of a grey pixel that cameras send: names and codes of the PFNC and of GigE Vision 1.
+//! The forms of a pixel that cameras send: names and codes of the PFNC and of GigE Vision 1.
 
+use super::rig::Channel;
 use serde::{Deserialize, Serialize};
 
 /// A form of a pixel that a session takes from its cameras. What is deeper than 8 bits is shifted to 8.
@@ -29,11 +30,59 @@ pub enum Pixel {
     Mono14,
     /// 16 bits.
     Mono16,
+    /// 8 bits behind a mosaic of filters: of two columns and rows the pixels of one colour are taken, at half the size. Which
+    /// pixels these are follows from what the camera calls it.
+    Bayer8(Mosaic),
+}
+
+/// The colours of a mosaic's first row and second row, from the left.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Mosaic {
+    /// Green, red; blue, green.
+    GR,
+    /// Red, green; green, blue.
+    #[default]
+    RG,
+    /// Green, blue; red, green.
+    GB,
+    /// Blue, green; green, red.
+    BG,
+}
+
+impl Mosaic {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::GR, Self::RG, Self::GB, Self::BG];
+
+    /// Column and row of a colour among two by two pixels. Of the two greens it is that of the first row.
+    pub fn place(self, channel: Channel) -> (usize, usize) {
+        let first = match self {
+            Self::GR => [Channel::G, Channel::R],
+            Self::RG => [Channel::R, Channel::G],
+            Self::GB => [Channel::G, Channel::B],
+            Self::BG => [Channel::B, Channel::G],
+        };
+        match first.iter().position(|colour| *colour == channel) {
+            Some(column) => (column, 0),
+            // What the first row lacks stands below its green.
+            None => (usize::from(first[1] == Channel::G), 1),
+        }
+    }
 }
 
 impl Pixel {
-    /// All of them, in the order in which a camera's is chosen: 8 bits, then by bytes, then by depth.
-    pub const ALL: [Self; 9] = [
+    /// Those that a node file can name: grey, and a plane of colour.
+    pub const WORDS: [Self; 10] = {
+        let mut words = [Self::Bayer8(Mosaic::RG); 10];
+        let mut place = 0;
+        while place < Self::GREY.len() {
+            words[place] = Self::GREY[place];
+            place += 1;
+        }
+        words
+    };
+
+    /// Those of grey, in the order in which a camera's is chosen: 8 bits, then by bytes, then by depth.
+    pub const GREY: [Self; 9] = [
         Self::Mono8,
         Self::Mono10p,
         Self::Mono10Packed,
@@ -57,6 +106,7 @@ impl Pixel {
             Self::Mono12 => "mono12",
             Self::Mono14 => "mono14",
             Self::Mono16 => "mono16",
+            Self::Bayer8(_) => "bayer8",
         }
     }
 
@@ -72,6 +122,10 @@ impl Pixel {
             Self::Mono12 => "Mono12",
             Self::Mono14 => "Mono14",
             Self::Mono16 => "Mono16",
+            Self::Bayer8(Mosaic::GR) => "BayerGR8",
+            Self::Bayer8(Mosaic::RG) => "BayerRG8",
+            Self::Bayer8(Mosaic::GB) => "BayerGB8",
+            Self::Bayer8(Mosaic::BG) => "BayerBG8",
         }
     }
 
@@ -87,13 +141,17 @@ impl Pixel {
             Self::Mono12 => 0x0110_0005,
             Self::Mono14 => 0x0110_0025,
             Self::Mono16 => 0x0110_0007,
+            Self::Bayer8(Mosaic::GR) => 0x0108_0008,
+            Self::Bayer8(Mosaic::RG) => 0x0108_0009,
+            Self::Bayer8(Mosaic::GB) => 0x0108_000a,
+            Self::Bayer8(Mosaic::BG) => 0x0108_000b,
         }
     }
 
     /// Bits of its value.
     pub fn depth(self) -> usize {
         match self {
-            Self::Mono8 => 8,
+            Self::Mono8 | Self::Bayer8(_) => 8,
             Self::Mono10p | Self::Mono10Packed | Self::Mono10 => 10,
             Self::Mono12p | Self::Mono12Packed | Self::Mono12 => 12,
             Self::Mono14 => 14,
@@ -111,12 +169,39 @@ impl Pixel {
         (pixels * self.bits()).div_ceil(8)
     }
 
+    /// Columns, and rows, of the camera's image for one of the recording's.
+    pub fn step(self) -> usize {
+        if matches!(self, Self::Bayer8(_)) { 2 } else { 1 }
+    }
+
+    /// Bytes that a camera sends for an image of so many columns and rows of the recording.
+    pub fn sent_bytes(self, (width, height): (usize, usize)) -> usize {
+        self.bytes(width * height * self.step() * self.step())
+    }
+
     /// Columns of whose multiples rows end with a byte.
     pub fn columns_step(self) -> usize {
         match self.bits() {
             10 => 4,
             12 => 2,
             _ => 1,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Channel, Mosaic};
+
+    #[test]
+    fn each_colour_has_its_place_in_each_mosaic() {
+        for (mosaic, colours) in
+            [(Mosaic::GR, "GRBG"), (Mosaic::RG, "RGGB"), (Mosaic::GB, "GBRG"), (Mosaic::BG, "BGGR")]
+        {
+            for (channel, letter) in [(Channel::R, 'R'), (Channel::G, 'G'), (Channel::B, 'B')] {
+                let first = colours.find(letter).expect("there");
+                assert_eq!(mosaic.place(channel), (first % 2, first / 2), "{mosaic:?} {channel:?}");
+            }
         }
     }
 }

@@ -90,7 +90,7 @@ impl CameraWords {
             exposure_tolerance_us: number("exposure_tolerance_us", 0.0..=1_000_000.0),
             gain_db: number("gain_db", 0.0..=100.0),
             pixel: said("pixel")
-                .then(|| section.choice("pixel", &Pixel::ALL.map(|pixel| (pixel.word(), pixel)))),
+                .then(|| section.choice("pixel", &Pixel::WORDS.map(|pixel| (pixel.word(), pixel)))),
             width: whole("width"),
             height: whole("height"),
             overlap: said("overlap").then(|| section.flag_or("overlap", true)),

@@ -339,6 +339,7 @@ mod tests {
                     contract: FrameContract {
                         pixel: Pixel::Mono8,
                         size: (1920, 1200),
+                        place: (0, 0),
                         offset: (0, 0),
                         chunk_room: 0,
                     },

@@ -160,7 +160,7 @@ impl Devices {
                 identity: None,
                 problem: not_yet(),
                 size,
-                contract: FrameContract { pixel, size, offset: (0, 0), chunk_room: 0 },
+                contract: FrameContract { pixel, size, place: (0, 0), offset: (0, 0), chunk_room: 0 },
                 wishes: Wishes::of(config, camera),
                 watched: State::new(),
                 next_try: Instant::now(),

@@ -30,7 +30,7 @@ pub(crate) fn held_sets(request: &SessionRequest, rate_hz: f64) -> usize {
 pub(crate) fn check_limits(config: &NodeConfig, memory: &ProcessMemory, held: u64) -> Result<(), Fault> {
     let bytes = |camera: &RigCamera| {
         let said = config.cameras.iter().find(|said| said.id == camera.id).and_then(|said| said.words.pixel);
-        said.unwrap_or_default().bytes(camera.device.width * camera.device.height)
+        said.unwrap_or_default().sent_bytes((camera.device.width, camera.device.height))
     };
     let cameras = config.rig.cameras_of(&config.node);
     let set_bytes: u64 = cameras.map(|(_, camera)| block_bytes(bytes(camera)) as u64).sum();

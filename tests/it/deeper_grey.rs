@@ -1,16 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Cameras that send grey deeper than 8 bits, in every packing, beside ones that send 8: what is recorded of each is
-//! the same picture, and the recording names what the camera sent.
+//! Cameras that send grey deeper than 8 bits, in every packing, or a mosaic of colours, beside ones that send 8 bits: what
+//! is recorded of each is the picture, and the recording names what the camera sent.
 
 use crate::lab::{
-    assert_contains, fourdbody, laboratory, options, say, small_rig, start_laboratory, start_nodes, text_of,
+    SIZE, assert_contains, fourdbody, laboratory, options, say, small_rig, start, start_laboratory,
+    start_nodes, text_of,
 };
 use crate::reused::{Place, json, light, points_of, reconstruct};
 use crate::session_faults::check_frames;
+use fourdbody::base::ids::TriggerIndex;
 use fourdbody::base::image::Plane;
 use fourdbody::config::SocketMode;
+use fourdbody::data::FrameSource;
 use fourdbody::record::{GapCause, SessionReader};
-use fourdbody_simulator::gige::{Form, Habits};
+use fourdbody_simulator::gige::{Form, Habits, TestImages};
 use fourdbody_simulator::images::ImageSource;
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
 use std::sync::Arc;
@@ -97,6 +100,56 @@ fn frames_of_another_depth_than_agreed_are_gaps() {
     assert!(gaps[2..].iter().all(Vec::is_empty));
     let verified = fourdbody(&["verify", &session.display().to_string()]);
     assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
+}
+
+/// Cameras with a mosaic of filters: the pixels of the head's colour are recorded, at half the size; beside them ones that
+/// send grey of the rig's size.
+#[test]
+fn the_plane_of_the_heads_colour_is_recorded_at_half_the_size() {
+    const SENSOR: (usize, usize) = (640, 400);
+    // The simulator's are BayerRG8; the heads are red, green and blue.
+    const PLANES: [(&str, usize, usize, (usize, usize)); 3] =
+        [("h0_up", 0, 0, (0, 0)), ("h1_up", 0, 2, (1, 0)), ("h2_up", 1, 4, (1, 1))];
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let laboratory = start(&options(small_rig(20.0), dir.path(), 211), SENSOR);
+    for (camera, node, ..) in PLANES {
+        say(&laboratory.nodes[node].path, camera, "pixel = \"bayer8\"");
+    }
+    let mut nodes = start_nodes(&laboratory);
+    let captured =
+        fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "12", "--name", "planes"]);
+    assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
+    nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+    let session = dir.path().join("sessions/planes");
+    let verified = fourdbody(&["verify", &session.display().to_string()]);
+    assert_eq!(verified.status.code(), Some(0), "{}", text_of(&verified));
+    let reader = SessionReader::open(&session).expect("readable");
+    for (number, camera) in reader.cameras().iter().enumerate() {
+        let light = TestImages::new(SENSOR.0, SENSOR.1, number as u32 + 1, TestImages::DISTINCT);
+        let plane = PLANES.iter().find(|(.., at, _)| *at == number).map(|(.., place)| *place);
+        for trigger in reader.triggers() {
+            let frame =
+                reader.recorded_frame(camera, TriggerIndex(trigger)).expect("intact").expect("no gap");
+            assert_eq!((frame.image.width(), frame.image.height()), SIZE);
+            let sent = light.pixels(trigger as i64);
+            let pixel = |at: usize| {
+                let (u, v) = (at % SIZE.0, at / SIZE.0);
+                let (u, v) = plane.map_or((u, v), |(column, row)| (2 * u + column, 2 * v + row));
+                sent[v * SENSOR.0 + u]
+            };
+            assert!(
+                frame.image.as_slice().iter().enumerate().all(|(at, found)| *found == pixel(at)),
+                "{camera}"
+            );
+        }
+    }
+    let headers = || reader.recordings().iter().flat_map(|recording| &recording.header.cameras);
+    assert_eq!(headers().filter(|camera| camera.pixel_format == "BayerRG8").count(), 3);
+    let events = || reader.recordings().iter().flat_map(|recording| &recording.events);
+    assert!(events().any(|event| event.message.contains(
+        "of its BayerRG8 of 640 x 400 the plane of the head's colour is recorded, 320 x 200: pixel (u, v) of frames and \
+         calibration is pixel (2u + 1, 2v + 1) of the camera"
+    )));
 }
 
 /// A light that stays.

@@ -13,7 +13,7 @@ use fourdbody::base::ids::{CameraId, TriggerIndex};
 use fourdbody::camera::description::Description;
 use fourdbody::camera::profile::Link;
 use fourdbody::camera::{AravisCameras, CameraBackend, CameraError, Wishes};
-use fourdbody::config::CameraWords;
+use fourdbody::config::{CameraWords, Channel};
 use fourdbody::data::FrameSource;
 use fourdbody::record::{SETTING_CHANGED, SessionReader, UNCONFIRMED};
 use fourdbody_simulator::gige::{
@@ -120,6 +120,7 @@ fn wishes(line: Option<&str>) -> Wishes {
         raw: Vec::new(),
         exposure_us: EXPOSURE_US,
         size: SIZE,
+        channel: Channel::G,
         triggered: true,
         action: None,
         link: Link { cameras: 1, packet_bytes: 9000, period_ns: 50_000_000 },

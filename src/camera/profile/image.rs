@@ -3,7 +3,7 @@
 
 use super::{Amount, Plan, Trouble, Wishes, Write, check_bounds, first_writable, is_fixed};
 use crate::camera::description::{Description, Feature};
-use crate::config::{FeatureValue, Pixel};
+use crate::config::{FeatureValue, Mosaic, Pixel};
 
 /// Names under which an image of 8-bit grey is known.
 const MONO8: [&str; 8] = ["Mono8", "Mono8bit", "Monochrome8", "Grey8", "Gray8", "Y8", "MonoPacked8", "Luma8"];
@@ -24,7 +24,9 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
             plan.writes.push(Write::new(offset, Amount::Value(FeatureValue::Integer(0)), "").optional());
         }
     }
-    for (name, word, size) in [("Width", "width", wishes.size.0), ("Height", "height", wishes.size.1)] {
+    let step = wishes.words.pixel.map_or(1, Pixel::step);
+    let (width, height) = (wishes.size.0 * step, wishes.size.1 * step);
+    for (name, word, size) in [("Width", "width", width), ("Height", "height", height)] {
         if !wishes.left_to_settings(word) {
             match length(camera, name, word, size) {
                 Ok(write) => plan.writes.extend(write),
@@ -44,13 +46,15 @@ fn pixel_format(camera: &dyn Description, wishes: &Wishes) -> Result<((String, P
     };
     let entry = |pixel: Pixel| match pixel {
         Pixel::Mono8 => feature.entry(&MONO8),
+        // Whichever its filters are.
+        Pixel::Bayer8(_) => feature.entry(&Mosaic::ALL.map(|mosaic| Pixel::Bayer8(mosaic).name())),
         deeper => feature.entry(&[deeper.name()]),
     };
     let fits = |pixel: &Pixel| wishes.size.0.is_multiple_of(pixel.columns_step());
     let chosen = match wishes.words.pixel {
         Some(pixel) => pixel,
         None => {
-            Pixel::ALL.into_iter().find(|pixel| fits(pixel) && entry(*pixel).is_some()).unwrap_or_default()
+            Pixel::GREY.into_iter().find(|pixel| fits(pixel) && entry(*pixel).is_some()).unwrap_or_default()
         }
     };
     let Some(entry) = entry(chosen).map(str::to_owned) else {

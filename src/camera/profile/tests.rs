@@ -3,7 +3,7 @@
 
 use super::{Amount, Link, Plan, Scale, Want, Wishes, must_be, resolve};
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
-use crate::config::{AUTO, ActionConfig, CameraWords, Edge, PacketDelay, Pixel};
+use crate::config::{AUTO, ActionConfig, CameraWords, Channel, Edge, Mosaic, PacketDelay, Pixel};
 use std::collections::BTreeMap;
 
 /// A description made up for a test.
@@ -64,6 +64,7 @@ pub(crate) fn wishes() -> Wishes {
         raw: Vec::new(),
         exposure_us: 1000.0,
         size: (1920, 1200),
+        channel: Channel::G,
         triggered: true,
         action: None,
         link: Link { cameras: 1, packet_bytes: 9000, period_ns: 8_333_333 },
@@ -379,6 +380,12 @@ fn deeper_grey_is_taken_where_it_is_named_or_where_there_is_no_8_bits() {
     assert!(text.contains("`Mono16` is not an entry of PixelFormat: Mono8, Mono12p; name one"), "{text}");
     let text = trouble(&has("Mono10p"), &Wishes { size: (1922, 1200), ..named(Pixel::Mono10p) });
     assert!(text.contains("needs rows of a multiple of 4 columns, and the rig has 1922"), "{text}");
+    // A plane of a mosaic: whatever its filters are, and twice the columns and rows.
+    let plane = Wishes { size: (960, 600), ..named(Pixel::Bayer8(Mosaic::RG)) };
+    assert_eq!(chosen("Mono8,BayerGB8", &plane), "BayerGB8");
+    let writes = short(&resolve(&has("Mono8,BayerGB8"), &plane));
+    assert!(writes.contains("Width=1920 Height=1200"), "{writes}");
+    assert!(trouble(&has("Mono8"), &plane).contains("`BayerRG8` is not an entry of PixelFormat: Mono8"));
     // Cameras that share a network leave room for frames as long as they are.
     let paced = |pixel| {
         let words =

@@ -7,7 +7,7 @@ use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
 use crate::camera::features::{Failed, Features};
 use crate::camera::profile::Wishes;
 use crate::camera::profile::tests::{Made, made, wishes};
-use crate::config::{FeatureSetting, FeatureValue, Pixel};
+use crate::config::{Channel, FeatureSetting, FeatureValue, Mosaic, Pixel};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 
@@ -318,6 +318,33 @@ fn deeper_grey_is_told_and_its_lower_byte_must_come_first() {
     let all = problems(set_up(&fake, &twelve)).join("\n");
     assert!(all.contains("sends the upper byte of each value first (GevSCPSBigEndian)"), "{all}");
     set_up(&fake, &wanted()).expect("8 bits have no order");
+}
+
+/// Which pixels are of the head's colour follows from the name that the camera has for its mosaic in the end.
+#[test]
+fn a_plane_of_colour_is_half_as_large_and_the_calibrations_pixels_are_named() {
+    let mosaic = |format: &str| {
+        let mut fake = Fake::new();
+        fake.made.0.extend(made(&format!("PixelFormat=Mono8,{format}")).0);
+        fake
+    };
+    let mut plane = Wishes { size: (960, 600), channel: Channel::B, ..wanted() };
+    plane.words.pixel = Some(Pixel::Bayer8(Mosaic::RG));
+    for (format, place) in [("BayerRG8", (1, 1)), ("BayerGB8", (1, 0)), ("BayerBG8", (0, 0))] {
+        let done = set_up(&mosaic(format), &plane).expect("set up");
+        assert_eq!((done.contract.size, done.contract.sent_size()), ((960, 600), (1920, 1200)));
+        assert_eq!((done.contract.pixel.name(), done.contract.place), (format, place));
+        let told = done.told.join("; ");
+        let (u, v) = place;
+        let pixels = format!("is pixel (2u + {u}, 2v + {v}) of the camera");
+        assert!(told.contains("recorded, 960 x 600") && told.contains(&pixels), "{told}");
+        assert!(!told.contains("makes grey of several pixels"), "{told}");
+    }
+    let mut odd = mosaic("BayerRG8");
+    odd.made.0.get_mut("OffsetX").expect("there").access = Access::Read;
+    odd.values.borrow_mut().insert("OffsetX".to_owned(), FeatureValue::Integer(3));
+    let all = problems(set_up(&odd, &plane)).join("\n");
+    assert!(all.contains("OffsetX is 3 and OffsetY is 0, expected even ones"), "{all}");
 }
 
 #[test]
