@@ -12,7 +12,7 @@ use fourdbody::base::ids::SessionName;
 use fourdbody::camera::{
     AravisCameras, Camera, CameraBackend, FrameContract, Received, StreamOptions, Transfer, Wishes,
 };
-use fourdbody::config::NodeConfig;
+use fourdbody::config::{NodeConfig, Pixel};
 use fourdbody::host::frame_memory::Block;
 use fourdbody::hsu::{ArmRequest, Hsu, HsuTimeouts, HsuTiming, TriggerUnit, session_id};
 use mcap::records::MessageHeader;
@@ -51,8 +51,10 @@ impl Cameras {
         let stop = Arc::new(AtomicBool::new(false));
         let mut threads = Vec::new();
         for (number, camera) in opened.iter_mut().enumerate() {
-            let contract = FrameContract { size: camera.image_size()?, offset: (0, 0) };
-            let blocks = (0..config.buffers_per_camera).map(|_| Block::allocate(contract.bytes())).collect();
+            let size = camera.image_size()?;
+            let contract =
+                FrameContract { pixel: Pixel::Mono8, size, place: (0, 0), offset: (0, 0), chunk_room: 0 };
+            let blocks = (0..config.buffers_per_camera).map(|_| Block::allocate(contract.pixels())).collect();
             let (packet_bytes, socket) = (config.packet_bytes, config.socket);
             let options = StreamOptions { contract, packet_bytes, socket, period_ns };
             let mut stream = camera.create_stream(blocks, &options)?;

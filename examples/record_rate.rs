@@ -38,6 +38,7 @@ fn header() -> RecordingHeader {
         width: WIDTH,
         height: HEIGHT,
         device: String::new(),
+        pixel_format: String::new(),
         settings: Vec::new(),
         state: std::collections::BTreeMap::new(),
     };
@@ -140,7 +141,7 @@ fn pool(small_pages: bool) -> Result<Receiver<Block>, Box<dyn Error>> {
     let (home, returns) = unbounded();
     let blocks: Vec<Block> = match small_pages {
         true => (0..POOL).map(|_| Block::allocate(PIXELS)).collect(),
-        false => Pool::new(true, (POOL * block_bytes(PIXELS)) as u64).take(PIXELS, POOL)?,
+        false => Pool::new(true, (POOL * block_bytes(PIXELS)) as u64).take(PIXELS, PIXELS, POOL)?,
     };
     for (i, mut block) in blocks.into_iter().enumerate() {
         block.bytes_mut().iter_mut().enumerate().for_each(|(p, byte)| *byte = (p * 31 + i) as u8);

@@ -38,7 +38,9 @@ pub fn gap_cause(transfer: Transfer) -> Option<GapCause> {
         Transfer::Complete => None,
         Transfer::MissingPackets | Transfer::Unwritten => Some(GapCause::MissingPackets),
         Transfer::Timeout => Some(GapCause::Timeout),
-        Transfer::Breach(Breach::Payload(_) | Breach::PixelFormat(_)) => Some(GapCause::WrongFormat),
+        Transfer::Breach(
+            Breach::Payload(_) | Breach::PixelFormat { .. } | Breach::TooLarge(_) | Breach::Chunks { .. },
+        ) => Some(GapCause::WrongFormat),
         Transfer::SizeMismatch | Transfer::Breach(_) => Some(GapCause::SizeMismatch),
         Transfer::Aborted => Some(GapCause::Aborted),
     }

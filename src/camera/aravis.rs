@@ -11,19 +11,21 @@
 //! * Without a tick frequency it stamps frames with the host's clock: such a stamp is none.
 
 use super::canary::Canaries;
-use super::contract::{Breach, FrameContract, FrameForm, Payload};
+use super::chunks::first_chunk;
+use super::contract::{Breach, Chunks, FrameContract, FrameForm, Payload};
 use super::device_clock::{self, DeviceClock};
 use super::features::{Failed, Features, read_state};
 use super::packet_size;
 use super::profile::trigger_lines;
 use super::set_up::{changed, set_up};
+use super::unpack::{take_plane, unpack};
 use super::{
     Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, Change,
     FrameStream, PacketTest, Received, SetUp, State, StreamOptions, Transfer, Wishes,
 };
 use crate::base::ids::{BlockId, one_line};
 use crate::config::SocketMode;
-use crate::host::frame_memory::{Block, ROOM_BYTES};
+use crate::host::frame_memory::Block;
 use crate::host::realtime;
 use aravis::prelude::*;
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -37,6 +39,8 @@ use std::time::Duration;
 
 mod checked;
 mod device_features;
+#[cfg(test)]
+mod fake_tests;
 mod filter;
 mod test_packets;
 
@@ -276,13 +280,13 @@ impl Camera for AravisCamera {
             tune(gv, options.period_ns);
             self.restrict(gv, options.socket)?;
         }
-        let canaries = match (self.device.downcast_ref::<aravis::GvDevice>(), blocks.first()) {
+        let canaries = match self.device.downcast_ref::<aravis::GvDevice>() {
             // The size that the camera made of the one asked for: packets have their places by it.
-            (Some(gv), Some(block)) => {
+            Some(gv) => {
                 let bytes = gv.packet_size().map_err(link_error(READING_PACKET_SIZE))?;
-                Some(Canaries::new(block.pixels().len(), usize::try_from(bytes).unwrap_or(0)))
+                Some(Canaries::new(options.contract.sent_bytes(), usize::try_from(bytes).unwrap_or(0)))
             }
-            _ => None,
+            None => None,
         };
         Ok(Box::new(AravisStream::new(stream, blocks, canaries, options.contract)))
     }
@@ -342,6 +346,18 @@ fn tune(stream: &aravis::GvStream, period_ns: u64) {
     stream.set_socket_buffer_size(8 << 20);
 }
 
+/// Counters of a stream, by Aravis' names.
+const COUNTERS: [&str; 8] = [
+    "n_completed_buffers",
+    "n_failures",
+    "n_underruns",
+    "n_received_packets",
+    "n_missing_packets",
+    "n_error_packets",
+    "n_resend_requests",
+    "n_resent_packets",
+];
+
 /// A stream and the blocks that belong to it. A block is either lent to Aravis, or out with a frame while
 /// the Aravis buffer that wraps it waits in `parked`.
 struct AravisStream {
@@ -355,9 +371,15 @@ struct AravisStream {
     canaries: Option<Canaries>,
     /// What every frame must be.
     contract: FrameContract,
+    /// The counters that this transport has: Aravis takes the question for another one for a mistake.
+    counters: Vec<&'static str>,
 }
 
 impl AravisStream {
+    fn count(&self, name: &str) -> Option<u64> {
+        self.counters.contains(&name).then(|| self.stream.info_uint64_by_name(name))
+    }
+
     fn new(
         stream: aravis::Stream,
         blocks: Vec<Block>,
@@ -368,37 +390,81 @@ impl AravisStream {
         let (mut lent, mut parked) = (Vec::new(), Vec::new());
         for mut block in blocks {
             plant(canaries.as_ref(), &mut block);
-            let over =
-                canaries.as_ref().is_some_and(|canaries| block.spare() > 0 && canaries.last_has_room());
-            let (pointer, length) = (block.pixel_pointer(), block.pixels().len() + usize::from(over));
+            // Where there is room for chunks, more than that is not looked for.
+            let over = contract.chunk_room == 0
+                && canaries.as_ref().is_some_and(|canaries| block.spare() > 0 && canaries.last_has_room());
+            let (pointer, length) = (block.pixel_pointer(), block.received().len() + usize::from(over));
             // SAFETY: the block's memory stays allocated while Aravis holds the buffer: it waits untouched in
-            // `lent`, and the stream has ended before the blocks are freed (see `drop`). The byte after the pixels is
+            // `lent`, and the stream has ended before the blocks are freed (see `drop`). The byte after them is
             // the block's own where it has any to spare.
             let buffer = unsafe { aravis::Buffer::new_preallocated_borrowed(pointer, length) };
             stream.push_buffer(buffer);
             lent.push(Some(block));
             parked.push(None);
         }
-        Self { stream, lent, parked, home, returns, canaries, contract }
+        let named =
+            |name: &&&str| (0..stream.n_infos()).any(|i| stream.info_name(i).is_some_and(|n| n == **name));
+        let counters = COUNTERS.iter().filter(named).copied().collect();
+        Self { stream, lent, parked, home, returns, canaries, contract, counters }
     }
 
     /// What a frame is that Aravis calls complete.
     fn judge(&self, buffer: &aravis::Buffer, block: &Block) -> Transfer {
         let is_whole =
-            || self.canaries.as_ref().is_none_or(|canaries| canaries.survivor(block.pixels()).is_none());
+            || self.canaries.as_ref().is_none_or(|canaries| canaries.survivor(block.received()).is_none());
         // Another datagram took the leader's place, and what the buffer says is of an older frame.
         if self.canaries.is_some() && buffer.frame_id() == 0 {
             return Transfer::Unwritten;
         }
-        let breach = match form_of(buffer) {
+        let breach = match self.form_of(buffer, block) {
             Ok(form) => self.contract.breach(&form),
             Err(payload) => Some(Breach::Payload(payload)),
         };
         match breach {
             // A packet that was cut, as opposed to packets of another size.
-            None | Some(Breach::Bytes { .. }) if !is_whole() => Transfer::Unwritten,
+            None | Some(Breach::Bytes { .. } | Breach::Chunks { .. }) if !is_whole() => Transfer::Unwritten,
             None => Transfer::Complete,
             Some(breach) => Transfer::Breach(breach),
+        }
+    }
+
+    /// What a frame is, or what came instead of one.
+    fn form_of(&self, buffer: &aravis::Buffer, block: &Block) -> Result<FrameForm, Payload> {
+        use aravis::BufferPayloadType as Type;
+        let with_chunks = match buffer.payload_type() {
+            Type::Image => buffer.has_chunks(),
+            Type::ExtendedChunkData | Type::ChunkData => true,
+            Type::Multipart => return Err(Payload::Parts(buffer.n_parts())),
+            Type::Rawdata => return Err(Payload::Other("raw data")),
+            Type::File => return Err(Payload::Other("a file")),
+            Type::Jpeg | Type::Jpeg2000 => return Err(Payload::Other("a compressed image")),
+            Type::H264 => return Err(Payload::Other("a film")),
+            _ => return Err(Payload::Other("of an unknown kind")),
+        };
+        // The leader of chunk data has no word of an image.
+        let image = match buffer.n_parts() {
+            1 => Some(checked::image_of(buffer)),
+            0 if with_chunks => None,
+            parts => return Err(Payload::Parts(parts)),
+        };
+        let bytes = checked::bytes_of(buffer);
+        let chunks = with_chunks.then(|| Chunks {
+            // GigE Vision has the upper byte first, as its registers.
+            first: block.received().get(..bytes).and_then(|all| first_chunk(all, self.canaries.is_some())),
+        });
+        Ok(FrameForm { image, chunks, bytes })
+    }
+
+    /// Makes the pixels of what was received, where they are not the same.
+    fn to_8_bits(&self, block: &mut Block) -> Transfer {
+        let FrameContract { pixel, size, place, .. } = self.contract;
+        if pixel.step() > 1 {
+            take_plane(block.received_mut(), size, place);
+            return Transfer::Complete;
+        }
+        match unpack(pixel, block.received_mut(), self.contract.pixels()) {
+            0 => Transfer::Complete,
+            _ => Transfer::Breach(Breach::TooLarge(pixel)),
         }
     }
 
@@ -422,47 +488,10 @@ impl AravisStream {
     }
 }
 
-/// What the transport says of an image, or what came instead of one.
-fn form_of(buffer: &aravis::Buffer) -> Result<FrameForm, Payload> {
-    use aravis::BufferPayloadType as Type;
-    match buffer.payload_type() {
-        Type::Image if buffer.has_chunks() => return Err(Payload::WithChunks),
-        Type::Image => {}
-        Type::ExtendedChunkData => return Err(Payload::WithChunks),
-        Type::ChunkData => return Err(Payload::Other("chunk data")),
-        Type::Multipart => return Err(Payload::Parts(buffer.n_parts())),
-        Type::Rawdata => return Err(Payload::Other("raw data")),
-        Type::File => return Err(Payload::Other("a file")),
-        Type::Jpeg | Type::Jpeg2000 => return Err(Payload::Other("a compressed image")),
-        Type::H264 => return Err(Payload::Other("a film")),
-        _ => return Err(Payload::Other("of an unknown kind")),
-    }
-    if buffer.n_parts() != 1 {
-        return Err(Payload::Parts(buffer.n_parts()));
-    }
-    let ([x, y, width, height], padding) = checked::image_of(buffer);
-    let mut bytes = 0;
-    // SAFETY: the buffer is ours during the call and has one part; `bytes` has the type asked for.
-    unsafe { aravis_sys::arv_buffer_get_image_data(buffer.to_glib_none().0, &mut bytes) };
-    Ok(FrameForm {
-        pixel_format: buffer_format(buffer),
-        size: (width, height),
-        offset: (x, y),
-        padding,
-        bytes,
-    })
-}
-
-/// The pixel format's code as the leader has it.
-fn buffer_format(buffer: &aravis::Buffer) -> u32 {
-    // SAFETY: the buffer lives during the call; it is an image of one part, as the caller has seen.
-    unsafe { aravis_sys::arv_buffer_get_image_pixel_format(buffer.to_glib_none().0) }
-}
-
 /// Marks a block's pixels before it is lent.
 fn plant(canaries: Option<&Canaries>, block: &mut Block) {
     if let Some(canaries) = canaries {
-        canaries.plant(&mut block.bytes_mut()[ROOM_BYTES..]);
+        canaries.plant(block.received_mut());
     }
 }
 
@@ -477,7 +506,10 @@ impl FrameStream for AravisStream {
         let mut block = self.lent[slot].take()?;
         block.set_home(self.home.clone());
         let transfer = match buffer.status() {
-            aravis::BufferStatus::Success => self.judge(&buffer, &block),
+            aravis::BufferStatus::Success => match self.judge(&buffer, &block) {
+                Transfer::Complete => self.to_8_bits(&mut block),
+                transfer => transfer,
+            },
             aravis::BufferStatus::Timeout => Transfer::Timeout,
             aravis::BufferStatus::Aborted => Transfer::Aborted,
             aravis::BufferStatus::SizeMismatch => Transfer::SizeMismatch,
@@ -497,23 +529,13 @@ impl FrameStream for AravisStream {
     }
 
     fn heard(&self) -> u64 {
-        let packets = self.stream.info_uint64_by_name("n_received_packets");
         // USB3 Vision has no packets.
-        if packets > 0 { packets } else { self.stream.info_uint64_by_name("n_completed_buffers") }
+        let packets = self.count("n_received_packets").unwrap_or(0);
+        if packets > 0 { packets } else { self.count("n_completed_buffers").unwrap_or(0) }
     }
 
     fn counters(&self) -> Vec<(String, u64)> {
-        const NAMES: [&str; 8] = [
-            "n_completed_buffers",
-            "n_failures",
-            "n_underruns",
-            "n_received_packets",
-            "n_missing_packets",
-            "n_error_packets",
-            "n_resend_requests",
-            "n_resent_packets",
-        ];
-        NAMES.iter().map(|name| ((*name).to_owned(), self.stream.info_uint64_by_name(name))).collect()
+        COUNTERS.iter().filter_map(|name| Some(((*name).to_owned(), self.count(name)?))).collect()
     }
 }
 

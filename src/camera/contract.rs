@@ -1,31 +1,88 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a frame is: one image of 8-bit grey, of the size and at the place that were verified when its camera was
+//! What a frame is: one image of grey, of the format, the size and at the place that were verified when its camera was
 //! prepared, and nothing beside it. A frame that is anything else is never recorded.
 
+use crate::config::Pixel;
 use std::fmt;
-
-/// PFNC code of Mono8, and its name.
-pub const MONO8: (u32, &str) = (0x0108_0001, "Mono8");
 
 /// What every frame of a stream must be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameContract {
-    /// Columns and rows.
+    /// What a pixel is as the camera sends it.
+    pub pixel: Pixel,
+    /// Columns and rows of the recording's image.
     pub size: (usize, usize),
+    /// Where the recording's pixel lies among those that the camera sends for it: column and row.
+    pub place: (usize, usize),
     /// Column and row of the sensor at which the image begins.
     pub offset: (usize, usize),
+    /// Room for chunks behind the image, bytes; 0: no frame may carry any.
+    pub chunk_room: usize,
 }
 
 impl FrameContract {
-    /// Bytes of the image: one for each pixel.
-    pub fn bytes(&self) -> usize {
+    /// Bytes of the image in a recording: one for each pixel.
+    pub fn pixels(&self) -> usize {
         self.size.0 * self.size.1
+    }
+
+    /// Columns and rows of the image as the camera sends it.
+    pub fn sent_size(&self) -> (usize, usize) {
+        let step = self.pixel.step();
+        (self.size.0 * step, self.size.1 * step)
+    }
+
+    /// Bytes of the image as the camera sends it.
+    pub fn sent_bytes(&self) -> usize {
+        self.pixel.sent_bytes(self.size)
+    }
+
+    /// Bytes of memory that a frame is received into.
+    pub fn received_bytes(&self) -> usize {
+        self.sent_bytes() + self.chunk_room
+    }
+
+    /// What the recording does not have of what the camera sends.
+    pub fn loss(&self) -> Vec<String> {
+        let (name, depth) = (self.pixel.name(), self.pixel.depth());
+        let bits = depth.checked_sub(8).filter(|lost| *lost > 0).map(|lost| {
+            format!("its pixels are {name}: the upper 8 of their {depth} bits are recorded, and the lower {lost} are lost")
+        });
+        let chunks = (self.chunk_room > 0).then(|| {
+            format!("up to {} bytes of chunks follow each image, and are not recorded", self.chunk_room)
+        });
+        let plane = (self.pixel.step() > 1).then(|| {
+            let ((width, height), (columns, rows), (column, row)) = (self.size, self.sent_size(), self.place);
+            format!(
+                "of its {name} of {columns} x {rows} the plane of the head's colour is recorded, {width} x {height}: pixel \
+                 (u, v) of frames and calibration is pixel (2u + {column}, 2v + {row}) of the camera"
+            )
+        });
+        bits.into_iter().chain(chunks).chain(plane).collect()
     }
 }
 
-/// What the transport says a frame is.
+/// What a frame is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameForm {
+    /// The image, as its leader has it; `None` where that says nothing of one (chunk data).
+    pub image: Option<ImageForm>,
+    /// Chunks follow it.
+    pub chunks: Option<Chunks>,
+    /// Bytes that arrived; one more than the image has where more than that came.
+    pub bytes: usize,
+}
+
+/// Chunks of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Chunks {
+    /// The length of the first one, which is the image, where all that arrived is chunks.
+    pub first: Option<usize>,
+}
+
+/// What a leader says of an image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ImageForm {
     /// PFNC code of its pixels.
     pub pixel_format: u32,
     /// Columns and rows.
@@ -34,17 +91,22 @@ pub struct FrameForm {
     pub offset: (i32, i32),
     /// Bytes after every row, and rows after the last one.
     pub padding: (i32, i32),
-    /// Bytes that arrived; one more than the image has where more than that came.
-    pub bytes: usize,
 }
 
 /// How a frame breaks the contract.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Breach {
-    /// It is no plain image: something else, several parts, or an image with chunks.
+    /// It is no plain image: something else, several parts, or an image with chunks that were not agreed on.
     Payload(Payload),
     /// Its pixels are of another format.
-    PixelFormat(u32),
+    PixelFormat {
+        /// PFNC code.
+        found: u32,
+        /// As verified.
+        expected: Pixel,
+    },
+    /// Values are larger than the format has bits.
+    TooLarge(Pixel),
     /// It has another size.
     Size {
         /// Columns and rows.
@@ -61,6 +123,13 @@ pub enum Breach {
     },
     /// Bytes after every row, and rows after the last one.
     Padding(i32, i32),
+    /// Its chunks do not begin with an image of the length agreed on, or are not whole.
+    Chunks {
+        /// Bytes of the first one; `None` where what arrived is no chunks.
+        first: Option<usize>,
+        /// As verified.
+        expected: usize,
+    },
     /// More or fewer bytes arrived than it has pixels.
     Bytes {
         /// Bytes; one more than expected stands for any number.
@@ -82,39 +151,45 @@ pub enum Payload {
 }
 
 impl FrameContract {
-    /// How a plain image breaks it.
+    /// How a frame breaks it.
     pub fn breach(&self, form: &FrameForm) -> Option<Breach> {
+        if form.chunks.is_some() && self.chunk_room == 0 {
+            return Some(Breach::Payload(Payload::WithChunks));
+        }
+        if let Some(breach) = form.image.and_then(|image| self.image_breach(&image)) {
+            return Some(breach);
+        }
+        let (found, expected) = (form.bytes, self.sent_bytes());
+        match form.chunks {
+            None => (found != expected).then_some(Breach::Bytes { found, expected }),
+            // Either shows that no packet was short: the chunks are whole, or as many bytes came as the camera had announced.
+            Some(Chunks { first }) if first == Some(expected) => None,
+            Some(Chunks { first: None }) if form.image.is_some() && found == self.received_bytes() => None,
+            Some(Chunks { first }) => Some(Breach::Chunks { first, expected }),
+        }
+    }
+
+    /// How an image breaks it.
+    fn image_breach(&self, form: &ImageForm) -> Option<Breach> {
         let same = |found: (i32, i32), expected: (usize, usize)| {
             usize::try_from(found.0) == Ok(expected.0) && usize::try_from(found.1) == Ok(expected.1)
         };
-        if form.pixel_format != MONO8.0 {
-            return Some(Breach::PixelFormat(form.pixel_format));
+        if form.pixel_format != self.pixel.code() {
+            return Some(Breach::PixelFormat { found: form.pixel_format, expected: self.pixel });
         }
-        if !same(form.size, self.size) {
-            return Some(Breach::Size { found: form.size, expected: self.size });
+        let size = self.sent_size();
+        if !same(form.size, size) {
+            return Some(Breach::Size { found: form.size, expected: size });
         }
         if !same(form.offset, self.offset) {
             return Some(Breach::Offset { found: form.offset, expected: self.offset });
         }
-        if form.padding != (0, 0) {
-            return Some(Breach::Padding(form.padding.0, form.padding.1));
-        }
-        let (found, expected) = (form.bytes, self.bytes());
-        (found != expected).then_some(Breach::Bytes { found, expected })
+        (form.padding != (0, 0)).then_some(Breach::Padding(form.padding.0, form.padding.1))
     }
 }
 
-/// Names of the formats that cameras have most often.
-const FORMATS: [(u32, &str); 17] = [
-    MONO8,
-    (0x0110_0003, "Mono10"),
-    (0x010c_0004, "Mono10Packed"),
-    (0x010a_0046, "Mono10p"),
-    (0x0110_0005, "Mono12"),
-    (0x010c_0006, "Mono12Packed"),
-    (0x010c_0047, "Mono12p"),
-    (0x0110_0025, "Mono14"),
-    (0x0110_0007, "Mono16"),
+/// Names of formats that no session takes, and that cameras have most often.
+const OTHERS: [(u32, &str); 8] = [
     (0x0108_0008, "BayerGR8"),
     (0x0108_0009, "BayerRG8"),
     (0x0108_000a, "BayerGB8"),
@@ -127,8 +202,9 @@ const FORMATS: [(u32, &str); 17] = [
 
 /// A pixel format's name, and its code where it has none here.
 pub fn format_name(code: u32) -> String {
-    let known = FORMATS.iter().find(|(known, _)| *known == code);
-    known.map_or_else(|| format!("pixel format {code:#010x}"), |(_, name)| (*name).to_owned())
+    let grey = Pixel::GREY.iter().find(|pixel| pixel.code() == code).map(|pixel| pixel.name());
+    let known = grey.or_else(|| OTHERS.iter().find(|(known, _)| *known == code).map(|(_, name)| *name));
+    known.map_or_else(|| format!("pixel format {code:#010x}"), str::to_owned)
 }
 
 impl fmt::Display for Breach {
@@ -139,9 +215,16 @@ impl fmt::Display for Breach {
             }
             Self::Payload(Payload::Parts(parts)) => write!(f, "it has {parts} parts, expected one image"),
             Self::Payload(Payload::Other(name)) => write!(f, "it is {name}, expected an image"),
-            Self::PixelFormat(code) => {
-                write!(f, "its pixels are {}, expected {}", format_name(*code), MONO8.1)
+            Self::PixelFormat { found, expected } => {
+                write!(f, "its pixels are {}, expected {}", format_name(*found), expected.name())
             }
+            Self::TooLarge(pixel) => write!(
+                f,
+                "it has values of more than {} bits, which {} has not: the camera may put them at the upper end of their \
+                 bytes; name another format (pixel)",
+                pixel.depth(),
+                pixel.name()
+            ),
             Self::Size { found, expected } => {
                 write!(f, "it is {} x {}, expected {} x {}", found.0, found.1, expected.0, expected.1)
             }
@@ -156,6 +239,14 @@ impl fmt::Display for Breach {
                     "it has {bytes} bytes of padding after every row and {rows} rows of it, expected none"
                 )
             }
+            Self::Chunks { first: Some(first), expected } => {
+                write!(f, "its chunks begin with one of {first} bytes, expected its image of {expected}")
+            }
+            Self::Chunks { first: None, expected } => write!(
+                f,
+                "what follows its image of {expected} bytes is no whole row of chunks: a packet arrived short, or the camera \
+                 counts them otherwise; switch its chunks off (ChunkModeActive)"
+            ),
             Self::Bytes { found, expected } if found > expected => {
                 write!(f, "it has more than the {expected} bytes of its pixels")
             }
@@ -170,32 +261,89 @@ impl fmt::Display for Breach {
 
 #[cfg(test)]
 mod tests {
-    use super::{Breach, FrameContract, FrameForm, MONO8, format_name};
+    use super::{Breach, Chunks, FrameContract, FrameForm, ImageForm, format_name};
+    use crate::config::{Mosaic, Pixel};
 
-    const CONTRACT: FrameContract = FrameContract { size: (320, 200), offset: (0, 8) };
+    const CONTRACT: FrameContract =
+        FrameContract { pixel: Pixel::Mono8, size: (320, 200), place: (0, 0), offset: (0, 8), chunk_room: 0 };
 
-    fn form() -> FrameForm {
-        FrameForm { pixel_format: MONO8.0, size: (320, 200), offset: (0, 8), padding: (0, 0), bytes: 64_000 }
+    const IMAGE: ImageForm =
+        ImageForm { pixel_format: 0x0108_0001, size: (320, 200), offset: (0, 8), padding: (0, 0) };
+
+    fn of(image: ImageForm) -> FrameForm {
+        FrameForm { image: Some(image), chunks: None, bytes: 64_000 }
     }
 
     #[test]
     fn each_difference_is_a_breach_that_says_so() {
-        assert_eq!(CONTRACT.breach(&form()), None);
+        assert_eq!(CONTRACT.breach(&of(IMAGE)), None);
         let cases = [
-            (FrameForm { pixel_format: 0x0110_0007, ..form() }, "Mono16"),
-            (FrameForm { pixel_format: 0x0199_0099, ..form() }, "0x01990099"),
-            (FrameForm { size: (321, 200), ..form() }, "321 x 200"),
-            (FrameForm { size: (-1, 200), ..form() }, "-1 x 200"),
-            (FrameForm { offset: (8, 0), ..form() }, "column 8, row 0"),
-            (FrameForm { padding: (4, 0), ..form() }, "4 bytes of padding"),
-            (FrameForm { bytes: 63_972, ..form() }, "63972 bytes"),
-            (FrameForm { bytes: 64_001, ..form() }, "more than the 64000 bytes"),
+            (of(ImageForm { pixel_format: 0x0110_0007, ..IMAGE }), "Mono16"),
+            (of(ImageForm { pixel_format: 0x0199_0099, ..IMAGE }), "0x01990099"),
+            (of(ImageForm { size: (321, 200), ..IMAGE }), "321 x 200"),
+            (of(ImageForm { size: (-1, 200), ..IMAGE }), "-1 x 200"),
+            (of(ImageForm { offset: (8, 0), ..IMAGE }), "column 8, row 0"),
+            (of(ImageForm { padding: (4, 0), ..IMAGE }), "4 bytes of padding"),
+            (FrameForm { bytes: 63_972, ..of(IMAGE) }, "63972 bytes"),
+            (FrameForm { bytes: 64_001, ..of(IMAGE) }, "more than the 64000 bytes"),
+            (FrameForm { chunks: Some(Chunks { first: Some(64_000) }), ..of(IMAGE) }, "carries chunks"),
         ];
         for (form, words) in cases {
             let breach = CONTRACT.breach(&form).expect(words).to_string();
             assert!(breach.contains(words), "{breach}");
         }
-        assert!(matches!(CONTRACT.breach(&FrameForm { bytes: 0, ..form() }), Some(Breach::Bytes { .. })));
+        assert!(matches!(CONTRACT.breach(&FrameForm { bytes: 0, ..of(IMAGE) }), Some(Breach::Bytes { .. })));
         assert_eq!(format_name(0x0108_0009), "BayerRG8");
+    }
+
+    #[test]
+    fn deeper_grey_has_its_own_format_and_bytes() {
+        let deep = FrameContract { pixel: Pixel::Mono12p, ..CONTRACT };
+        let twelve =
+            FrameForm { bytes: 96_000, ..of(ImageForm { pixel_format: Pixel::Mono12p.code(), ..IMAGE }) };
+        assert_eq!(deep.breach(&twelve), None);
+        let text = deep.breach(&of(IMAGE)).expect("another format").to_string();
+        assert!(text.contains("are Mono8, expected Mono12p"), "{text}");
+        assert!(matches!(
+            deep.breach(&FrameForm { bytes: 64_000, ..twelve }),
+            Some(Breach::Bytes { expected: 96_000, .. })
+        ));
+    }
+
+    #[test]
+    fn a_plane_of_colour_is_a_quarter_of_what_is_sent() {
+        let plane = FrameContract { pixel: Pixel::Bayer8(Mosaic::GB), place: (1, 0), ..CONTRACT };
+        let form = |size, pixel_format| FrameForm {
+            bytes: 256_000,
+            ..of(ImageForm { pixel_format, size, ..IMAGE })
+        };
+        assert_eq!(plane.breach(&form((640, 400), 0x0108_000a)), None);
+        assert!(matches!(plane.breach(&form((320, 200), 0x0108_000a)), Some(Breach::Size { .. })));
+        // Its mosaic begins elsewhere than when it was set up.
+        let text = plane.breach(&form((640, 400), 0x0108_0009)).expect("another format").to_string();
+        assert!(text.contains("are BayerRG8, expected BayerGB8"), "{text}");
+        assert!(plane.loss()[0].contains("(2u + 1, 2v + 0)"), "{:?}", plane.loss());
+    }
+
+    /// Where they were agreed on, chunks follow the image: their own lengths say that all of them came, or all bytes do.
+    #[test]
+    fn chunks_are_taken_where_there_is_room_for_them() {
+        let room = FrameContract { chunk_room: 24, ..CONTRACT };
+        let with = |first, bytes| FrameForm { chunks: Some(Chunks { first }), bytes, ..of(IMAGE) };
+        for good in [with(Some(64_000), 64_024), with(Some(64_000), 64_016), with(None, 64_024), of(IMAGE)] {
+            assert_eq!(room.breach(&good), None, "{good:?}");
+        }
+        // A leader that names no image: the chunks alone show that there is one.
+        let data = |first, bytes| FrameForm { image: None, ..with(first, bytes) };
+        assert_eq!(room.breach(&data(Some(64_000), 64_024)), None);
+        for bad in [with(Some(8), 64_024), with(None, 64_020), data(None, 64_024), data(Some(96_000), 64_024)]
+        {
+            assert!(matches!(room.breach(&bad), Some(Breach::Chunks { .. })), "{bad:?}");
+        }
+        let wrong =
+            FrameForm { image: Some(ImageForm { size: (320, 100), ..IMAGE }), ..with(Some(64_000), 64_024) };
+        assert!(matches!(room.breach(&wrong), Some(Breach::Size { .. })));
+        let padded = FrameForm { bytes: 64_024, ..of(IMAGE) };
+        assert!(matches!(room.breach(&padded), Some(Breach::Bytes { .. })), "no chunks are said");
     }
 }

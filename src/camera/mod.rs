@@ -8,6 +8,8 @@
 mod aravis;
 #[cfg(feature = "aravis")]
 mod canary;
+#[cfg(feature = "aravis")]
+mod chunks;
 mod contract;
 pub mod description;
 #[cfg(feature = "aravis")]
@@ -29,13 +31,15 @@ mod state;
 #[cfg(feature = "aravis")]
 mod triggers;
 #[cfg(feature = "aravis")]
+mod unpack;
+#[cfg(feature = "aravis")]
 mod verify;
 #[cfg(feature = "aravis")]
 mod write_amount;
 
 #[cfg(feature = "aravis")]
 pub use self::aravis::AravisCameras;
-pub use contract::{Breach, FrameContract, FrameForm, MONO8, Payload};
+pub use contract::{Breach, Chunks, FrameContract, FrameForm, ImageForm, Payload};
 pub use profile::Wishes;
 pub use quiet::quiet_stream;
 pub use settings::{AppliedSetting, SetUp, matches};

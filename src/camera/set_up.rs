@@ -41,7 +41,9 @@ pub fn set_up(camera: &dyn Features, wishes: &Wishes) -> Result<SetUp, CameraErr
     let plan = profile::resolve(camera, wishes);
     work.problems.extend(plan.troubles.iter().map(ToString::to_string));
     work.told.extend(plan.told.iter().cloned());
-    work.told.extend(colours(camera)?);
+    if wishes.words.pixel.is_none_or(|pixel| pixel.step() == 1) {
+        work.told.extend(colours(camera)?);
+    }
     match packet_size::set(camera, wishes.link.packet_bytes)? {
         Ok(told) => work.told.extend(told),
         Err(problem) => work.problems.push(problem),
@@ -367,7 +369,7 @@ impl Work<'_> {
     }
 
     fn finish(mut self, plan: &Plan, musts: &[Must], triggers: &TriggersOn) -> Result<SetUp, CameraError> {
-        let contract = match verify(self.camera, self.wishes, plan.pixel_format.as_deref(), triggers) {
+        let contract = match verify(self.camera, self.wishes, plan.pixel_format.as_ref(), triggers) {
             Ok(contract) => Some(contract),
             Err(CameraError::SetUp { problems }) => {
                 // The reason why something was not set says more than that it is not so.
@@ -391,6 +393,7 @@ impl Work<'_> {
         }
         match contract {
             Some(contract) if self.problems.is_empty() => {
+                self.told.extend(contract.loss());
                 Ok(SetUp { contract, settings: self.settings, told: self.told, watched })
             }
             _ => Err(CameraError::SetUp { problems: self.problems }),

@@ -254,6 +254,7 @@ impl Import<'_> {
             width: camera.device.width as u32,
             height: camera.device.height as u32,
             device: "imported images".to_owned(),
+            pixel_format: String::new(),
             settings: Vec::new(),
             state: std::collections::BTreeMap::new(),
         });

@@ -197,13 +197,18 @@ fn print_segments(recording: &RecordingReader) {
 }
 
 fn print_cameras(cameras: &[CameraDescription]) {
-    println!("  cameras     {:<12} {:>11} {:>9} {:>7} {:>7}  device", "", "size", "frames", "gaps", "absent");
+    println!(
+        "  cameras     {:<12} {:>11} {:>9} {:>7} {:>7}  {:<12} device",
+        "", "size", "frames", "gaps", "absent", "sent as"
+    );
     for camera in cameras {
         let header = &camera.header;
         let size = format!("{} x {}", header.width, header.height);
         let gaps: u64 = camera.gaps.values().sum();
+        let format = if header.pixel_format.is_empty() { "-" } else { &header.pixel_format };
+        let format = one_line(format);
         println!(
-            "    {:<21} {size:>11} {:>9} {gaps:>7} {:>7}  {}",
+            "    {:<21} {size:>11} {:>9} {gaps:>7} {:>7}  {format:<12} {}",
             header.id.as_str(),
             camera.frames,
             camera.absent,

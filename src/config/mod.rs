@@ -7,6 +7,7 @@
 
 mod api;
 mod node;
+mod pixel;
 mod rig;
 mod section;
 mod trigger;
@@ -18,10 +19,11 @@ pub use node::{
     CameraConfig, FeatureSetting, FeatureValue, NodeConfig, OnLoss, QuickLookConfig, Realtime, SocketMode,
     WhenFull,
 };
+pub use pixel::{Mosaic, Pixel};
 pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
 pub use section::Section;
 pub use trigger::{ActionConfig, TriggerSource};
-pub use words::{AUTO, CameraWords, Edge, FEATURES_OF_WORDS, PacketDelay, Pixel, word_of};
+pub use words::{AUTO, CameraWords, Edge, FEATURES_OF_WORDS, PacketDelay, word_of};
 pub use worker::{Order, Output, WorkerConfig, WorkerNode};
 
 use crate::base::regular;

@@ -3,6 +3,7 @@
 //! (`[acquisition]`) and of one (`[[camera]]`).
 
 use super::node::{FeatureSetting, FeatureValue};
+use super::pixel::Pixel;
 use super::section::Section;
 use serde::{Deserialize, Serialize};
 
@@ -41,7 +42,7 @@ pub struct CameraWords {
     pub exposure_tolerance_us: Option<f64>,
     /// Gain, decibels.
     pub gain_db: Option<f64>,
-    /// The form of a pixel; there is one.
+    /// The form of a pixel that the camera is to send.
     pub pixel: Option<Pixel>,
     /// Columns; those of the rig.
     pub width: Option<u64>,
@@ -54,14 +55,6 @@ pub struct CameraWords {
     /// Words that the raw settings stand for, by features that no rule knows.
     #[serde(default)]
     pub left_to_settings: Vec<String>,
-}
-
-/// The forms of a pixel that a session records.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Pixel {
-    /// 8 bits of grey.
-    Mono8,
 }
 
 /// The words, each with the features that it sets: raw settings name these only where the word is left to them.
@@ -96,7 +89,8 @@ impl CameraWords {
             exposure_us: number("exposure_us", 0.1..=10_000_000.0),
             exposure_tolerance_us: number("exposure_tolerance_us", 0.0..=1_000_000.0),
             gain_db: number("gain_db", 0.0..=100.0),
-            pixel: said("pixel").then(|| section.choice("pixel", &[("mono8", Pixel::Mono8)])),
+            pixel: said("pixel")
+                .then(|| section.choice("pixel", &Pixel::WORDS.map(|pixel| (pixel.word(), pixel)))),
             width: whole("width"),
             height: whole("height"),
             overlap: said("overlap").then(|| section.flag_or("overlap", true)),
@@ -140,7 +134,7 @@ impl CameraWords {
             ("exposure_us", self.exposure_us.map(FeatureValue::Float)),
             ("exposure_tolerance_us", self.exposure_tolerance_us.map(FeatureValue::Float)),
             ("gain_db", self.gain_db.map(FeatureValue::Float)),
-            ("pixel", self.pixel.map(|Pixel::Mono8| text("mono8"))),
+            ("pixel", self.pixel.map(|pixel| text(pixel.word()))),
             ("width", self.width.map(whole)),
             ("height", self.height.map(whole)),
             ("overlap", self.overlap.map(FeatureValue::Flag)),

@@ -88,7 +88,8 @@ pub fn judge_camera(facts: &CameraFacts, load: &Load) -> Vec<Finding> {
         Ok(SetUp { contract, told, .. }) => {
             let (width, height) = contract.size;
             let told: String = told.iter().map(|told| format!("; {told}")).collect();
-            check(": settings").ok(format!("taken and read back, {width} x {height} Mono8{told}"))
+            check(": settings")
+                .ok(format!("taken and read back, {width} x {height} {}{told}", contract.pixel.name()))
         }
         Err(CameraError::SetUp { problems }) => {
             check(": settings").failed(problems.join("; "), expected, "correct the node file as named")
@@ -325,6 +326,7 @@ pub fn judge_hsu(facts: &HsuFacts, load: &Load) -> Vec<Finding> {
 mod tests {
     use super::*;
     use crate::camera::{FrameContract, State};
+    use crate::config::Pixel;
     use crate::doctor::Grade;
 
     fn camera() -> CameraFacts {
@@ -334,7 +336,13 @@ mod tests {
             opened: Ok(OpenedCamera {
                 identity: CameraIdentity::default(),
                 set_up: Ok(SetUp {
-                    contract: FrameContract { size: (1920, 1200), offset: (0, 0) },
+                    contract: FrameContract {
+                        pixel: Pixel::Mono8,
+                        size: (1920, 1200),
+                        place: (0, 0),
+                        offset: (0, 0),
+                        chunk_room: 0,
+                    },
                     settings: Vec::new(),
                     told: Vec::new(),
                     watched: State::new(),

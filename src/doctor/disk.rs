@@ -239,6 +239,7 @@ fn noise_header(config: &NodeConfig) -> RecordingHeader {
         width: camera.device.width as u32,
         height: camera.device.height as u32,
         device: String::new(),
+        pixel_format: String::new(),
         settings: Vec::new(),
         state: std::collections::BTreeMap::new(),
     });

@@ -48,7 +48,10 @@ pub fn gather(config: &NodeConfig, listed: &[CameraListing], all: &[Interface]) 
         Some(CameraPath {
             id: camera.id.clone(),
             address,
-            frame_bytes: frame.map_or(0, |(_, c)| (c.device.width * c.device.height) as u64),
+            frame_bytes: frame.map_or(0, |(_, c)| {
+                let pixel = camera.words.pixel.unwrap_or_default();
+                pixel.sent_bytes((c.device.width, c.device.height)) as u64
+            }),
             route: route(&table, address, all),
         })
     };

@@ -27,7 +27,8 @@ pub fn gather(sys: &Path, config: &NodeConfig, listed: &[CameraListing]) -> UsbF
     };
     let size = |camera: &crate::config::CameraConfig| {
         let known = config.rig.cameras().find(|(_, known)| known.id == camera.id);
-        known.map_or(0, |(_, known)| (known.device.width * known.device.height) as u64)
+        let pixel = camera.words.pixel.unwrap_or_default();
+        known.map_or(0, |(_, known)| pixel.sent_bytes((known.device.width, known.device.height)) as u64)
     };
     UsbFacts {
         frames: config.cameras.iter().filter(|camera| on_usb(&camera.address)).map(size).collect(),

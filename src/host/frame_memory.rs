@@ -116,22 +116,23 @@ impl Pool {
         Self { shelf: Arc::default(), lock, needed: needed_bytes }
     }
 
-    /// `count` blocks for `pixel_bytes` of pixels each: those of earlier sessions first, then fresh ones, all touched.
-    /// Kept blocks of another size are freed.
+    /// `count` blocks for `pixel_bytes` of pixels each that come as `received_bytes`, which may be more: those of earlier
+    /// sessions first, then fresh ones, all touched. Kept blocks of other sizes are freed.
     ///
     /// # Errors
     /// The system has no memory for them; a camera that comes back during a session then stays away, and the others go on.
-    pub fn take(&self, pixel_bytes: usize, count: usize) -> io::Result<Vec<Block>> {
+    pub fn take(&self, pixel_bytes: usize, received_bytes: usize, count: usize) -> io::Result<Vec<Block>> {
+        let sizes = Sizes::new(pixel_bytes, received_bytes);
         let (mut blocks, others): (Vec<Block>, Vec<Block>) = {
             let mut shelf = open(&self.shelf);
-            shelf.drain(..).partition(|block| block.size == ROOM_BYTES + pixel_bytes)
+            shelf.drain(..).partition(|block| block.sizes == sizes)
         };
         drop(others);
         let surplus = blocks.split_off(count.min(blocks.len()));
         open(&self.shelf).extend(surplus);
         let missing = count - blocks.len();
         if missing > 0 {
-            match self.make(pixel_bytes, missing) {
+            match self.make(sizes, missing) {
                 Ok(made) => blocks.extend(made),
                 Err(error) => {
                     open(&self.shelf).extend(blocks);
@@ -147,7 +148,7 @@ impl Pool {
 
     /// Bytes of the blocks that no stream has.
     pub fn idle_bytes(&self) -> u64 {
-        open(&self.shelf).iter().map(|block| block.size.next_multiple_of(ROOM_BYTES) as u64).sum()
+        open(&self.shelf).iter().map(|block| block.sizes.in_memory() as u64).sum()
     }
 
     /// Gives the memory of blocks that no stream has back to the system.
@@ -161,8 +162,8 @@ impl Pool {
         open(&self.shelf).len()
     }
 
-    fn make(&self, pixel_bytes: usize, count: usize) -> io::Result<Vec<Block>> {
-        let bytes = block_bytes(pixel_bytes) * count;
+    fn make(&self, sizes: Sizes, count: usize) -> io::Result<Vec<Block>> {
+        let bytes = sizes.in_memory() * count;
         let region = Region::map(bytes).or_else(|| Region::allocate(bytes)).ok_or_else(|| {
             let message = format!(
                 "the system has no {} MiB of memory for {count} frames; lower acquisition.buffers_per_camera, or raise the \
@@ -182,19 +183,38 @@ impl Pool {
             );
             warn("memory_not_locked", message);
         }
-        Ok((0..count).map(|i| Block::cut(&region, i * block_bytes(pixel_bytes), pixel_bytes)).collect())
+        Ok((0..count).map(|i| Block::cut(&region, i * sizes.in_memory(), sizes)).collect())
     }
 }
 
-/// Bytes that a block takes of the memory: whole pages, so that all pixels start on one.
-pub fn block_bytes(pixel_bytes: usize) -> usize {
-    (ROOM_BYTES + pixel_bytes).next_multiple_of(ROOM_BYTES)
+/// Bytes that a block takes of the memory, for so many that are received: whole pages, so that all pixels start on one.
+pub fn block_bytes(received_bytes: usize) -> usize {
+    (ROOM_BYTES + received_bytes).next_multiple_of(ROOM_BYTES)
+}
+
+/// How long a block is, its room counted in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Sizes {
+    /// To the end of the pixels.
+    pixels: usize,
+    /// To the end of what a camera sends: pixels that take more than a byte there are shifted to one in place.
+    received: usize,
+}
+
+impl Sizes {
+    fn new(pixel_bytes: usize, received_bytes: usize) -> Self {
+        Self { pixels: ROOM_BYTES + pixel_bytes, received: ROOM_BYTES + received_bytes.max(pixel_bytes) }
+    }
+
+    fn in_memory(self) -> usize {
+        self.received.next_multiple_of(ROOM_BYTES)
+    }
 }
 
 /// One frame's memory: `ROOM_BYTES` of room, then the pixels.
 pub struct Block {
     memory: NonNull<u8>,
-    size: usize,
+    sizes: Sizes,
     region: Arc<Region>,
     home: Option<Sender<Block>>,
     shelf: Option<Weak<Shelf>>,
@@ -214,18 +234,17 @@ impl Block {
             Ok(layout) => handle_alloc_error(layout),
             Err(error) => panic!("invariant: a frame fits in half the address space ({error})"),
         });
-        Self::cut(&Arc::new(region), 0, pixel_bytes)
+        Self::cut(&Arc::new(region), 0, Sizes::new(pixel_bytes, pixel_bytes))
     }
 
     /// The block at `offset` of a region that is long enough. No two blocks share bytes: offsets are multiples of
-    /// [`block_bytes`].
-    fn cut(region: &Arc<Region>, offset: usize, pixel_bytes: usize) -> Self {
-        // SAFETY: the callers made the region at least `offset + block_bytes(pixel_bytes)` long.
+    /// [`Sizes::in_memory`].
+    fn cut(region: &Arc<Region>, offset: usize, sizes: Sizes) -> Self {
+        // SAFETY: the callers made the region at least `offset + sizes.in_memory()` long.
         let memory = unsafe { region.memory.add(offset) };
-        let size = ROOM_BYTES + pixel_bytes;
-        let mut block = Self { memory, size, region: Arc::clone(region), home: None, shelf: None };
+        let mut block = Self { memory, sizes, region: Arc::clone(region), home: None, shelf: None };
         // Zeroed memory may be lazily mapped: writing once per page makes it resident before frame 0.
-        block.bytes_mut().iter_mut().step_by(4096).for_each(|byte| *byte = 0);
+        block.whole_mut().iter_mut().step_by(4096).for_each(|byte| *byte = 0);
         block
     }
 
@@ -234,16 +253,37 @@ impl Block {
         self.home = Some(home);
     }
 
+    /// Room and what is received.
+    fn whole(&self) -> &[u8] {
+        // SAFETY: the memory is initialized (both sources give zeros), `received` long and borrowed with self.
+        unsafe { std::slice::from_raw_parts(self.memory.as_ptr(), self.sizes.received) }
+    }
+
+    /// Room and what is received.
+    fn whole_mut(&mut self) -> &mut [u8] {
+        // SAFETY: as in `whole`, and self is borrowed uniquely.
+        unsafe { std::slice::from_raw_parts_mut(self.memory.as_ptr(), self.sizes.received) }
+    }
+
     /// Room and pixels.
     pub fn bytes(&self) -> &[u8] {
-        // SAFETY: the memory is initialized (both sources give zeros), `size` long and borrowed with self.
-        unsafe { std::slice::from_raw_parts(self.memory.as_ptr(), self.size) }
+        &self.whole()[..self.sizes.pixels]
     }
 
     /// Room and pixels.
     pub fn bytes_mut(&mut self) -> &mut [u8] {
-        // SAFETY: as in `bytes`, and self is borrowed uniquely.
-        unsafe { std::slice::from_raw_parts_mut(self.memory.as_ptr(), self.size) }
+        let end = self.sizes.pixels;
+        &mut self.whole_mut()[..end]
+    }
+
+    /// What a camera sends, of which the pixels are made.
+    pub fn received(&self) -> &[u8] {
+        &self.whole()[ROOM_BYTES..]
+    }
+
+    /// What a camera sends, of which the pixels are made.
+    pub fn received_mut(&mut self) -> &mut [u8] {
+        &mut self.whole_mut()[ROOM_BYTES..]
     }
 
     /// The pixels.
@@ -251,9 +291,9 @@ impl Block {
         &self.bytes()[ROOM_BYTES..]
     }
 
-    /// Bytes after the pixels that are the block's own and of no use.
+    /// Bytes after what is received that are the block's own and of no use.
     pub fn spare(&self) -> usize {
-        self.size.next_multiple_of(ROOM_BYTES) - self.size
+        self.sizes.in_memory() - self.sizes.received
     }
 
     /// The room before the pixels.
@@ -261,14 +301,14 @@ impl Block {
         &mut self.bytes_mut()[..ROOM_BYTES]
     }
 
-    /// Where the camera layer may write pixels while it holds the block.
+    /// Where the camera layer may write what it receives while it holds the block.
     pub fn pixel_pointer(&mut self) -> *mut u8 {
-        self.bytes_mut()[ROOM_BYTES..].as_mut_ptr()
+        self.received_mut().as_mut_ptr()
     }
 
     /// The same memory in a new value, for the way back; self must not be used afterwards.
     fn taken(&mut self, shelf: Option<Weak<Shelf>>) -> Self {
-        Self { memory: self.memory, size: self.size, region: Arc::clone(&self.region), home: None, shelf }
+        Self { memory: self.memory, sizes: self.sizes, region: Arc::clone(&self.region), home: None, shelf }
     }
 }
 
@@ -288,7 +328,7 @@ impl Drop for Block {
 
 impl fmt::Debug for Block {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Block of {} bytes", self.size)
+        write!(f, "Block of {} bytes", self.sizes.pixels)
     }
 }
 
@@ -325,11 +365,11 @@ mod tests {
     #[test]
     fn a_thousand_sessions_use_the_same_memory() {
         let pool = Pool::new(false, 0);
-        let first = places(&pool.take(10_000, 5).expect("memory"));
+        let first = places(&pool.take(10_000, 10_000, 5).expect("memory"));
         assert!(first.len() == 5 && first.iter().all(|place| place % 4096 == 0));
         for _ in 0..1000 {
             let (home, returns) = crossbeam_channel::bounded(5);
-            let mut blocks = pool.take(10_000, 5).expect("memory");
+            let mut blocks = pool.take(10_000, 10_000, 5).expect("memory");
             assert_eq!(places(&blocks), first);
             // One is out with a frame when its stream ends, one is on its way back to it, the rest are lent.
             blocks.iter_mut().take(2).for_each(|block| block.set_home(home.clone()));
@@ -349,8 +389,8 @@ mod tests {
     #[test]
     fn blocks_of_a_session_do_not_overlap_and_other_sizes_make_room() {
         let pool = Pool::new(true, 0);
-        let mut blocks = pool.take(5000, 3).expect("memory");
-        blocks.extend(pool.take(5000, 2).expect("memory"));
+        let mut blocks = pool.take(5000, 5000, 3).expect("memory");
+        blocks.extend(pool.take(5000, 5000, 2).expect("memory"));
         for (i, block) in blocks.iter_mut().enumerate() {
             block.bytes_mut().fill(i as u8 + 1);
         }
@@ -359,11 +399,28 @@ mod tests {
         }
         drop(blocks);
         assert_eq!(pool.idle(), 5);
-        let other = pool.take(6000, 1).expect("memory");
+        let other = pool.take(6000, 6000, 1).expect("memory");
         assert_eq!((pool.idle(), other[0].pixels().len()), (0, 6000));
         drop(pool);
         // The pool is gone: its blocks are freed where they are dropped.
         drop(other);
+    }
+
+    #[test]
+    fn what_is_received_may_be_longer_than_the_pixels() {
+        let pool = Pool::new(false, 0);
+        let mut blocks = pool.take(5000, 10_000, 2).expect("memory");
+        for (i, block) in blocks.iter_mut().enumerate() {
+            assert_eq!((block.pixels().len(), block.received().len()), (5000, 10_000));
+            block.received_mut().fill(i as u8 + 1);
+            assert_eq!(block.pixels().as_ptr(), block.received().as_ptr());
+        }
+        assert!(blocks.iter().zip(1u8..).all(|(block, i)| block.received().iter().all(|&byte| byte == i)));
+        drop(blocks);
+        assert_eq!(pool.idle_bytes(), 2 * super::block_bytes(10_000) as u64);
+        // A camera that sends 8 bits again has no use for them.
+        drop(pool.take(5000, 5000, 1).expect("memory"));
+        assert_eq!(pool.idle_bytes(), super::block_bytes(5000) as u64);
     }
 
     #[test]

@@ -41,8 +41,8 @@ pub struct Wired {
     pub line: Option<String>,
     /// Head and delays.
     pub delays: Delays,
-    /// Columns and rows of the picture.
-    pub size: (usize, usize),
+    /// What its frames are.
+    pub contract: FrameContract,
     /// The last frame's pixels.
     pub picture: Vec<u8>,
 }
@@ -101,7 +101,7 @@ impl Unit<'_> {
     pub fn look(&self, cameras: &mut [BenchCamera], which: &[usize]) -> Result<Vec<f64>, TrainError> {
         let contract = |place: usize| {
             let wired = cameras[place].wired.as_ref().filter(|_| which.contains(&place))?;
-            Some(FrameContract { size: wired.size, offset: (0, 0) })
+            Some(wired.contract)
         };
         let contracts: Vec<Option<FrameContract>> = (0..cameras.len()).map(contract).collect();
         let seen = self.train(&self.slow(), PULSES, cameras, &contracts)?;
@@ -228,7 +228,7 @@ pub fn find(
             match delays::read(&triggers, &seen.frames, unit.heads) {
                 Some(delays) if seen.early == 0 => {
                     let line = lines[place].take();
-                    bench.wired = Some(Wired { line, delays, size: contract.size, picture: seen.picture });
+                    bench.wired = Some(Wired { line, delays, contract, picture: seen.picture });
                 }
                 _ if seen.early > 0 => bench.told.push(format!(
                     "with {} it sent {} frames while nothing was triggered",

@@ -83,7 +83,11 @@ impl<'a> Waiting<'a> {
             period_ns,
         };
         let pool = Pool::new(false, 0);
-        let (stream, _) = quiet_stream(camera, || pool.take(contract.bytes(), BLOCKS), &options)?;
+        let (stream, _) = quiet_stream(
+            camera,
+            || pool.take(contract.pixels(), contract.received_bytes(), BLOCKS),
+            &options,
+        )?;
         let mut clock: Option<CameraClockSample> = None;
         for _ in 0..READINGS {
             let Some(reading) = camera.sample_clock()? else { break };

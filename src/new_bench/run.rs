@@ -505,7 +505,8 @@ impl Work {
         for (place, (role, bench)) in self.roles.iter().zip(cameras.iter_mut()).enumerate() {
             let wired = bench.wired.as_ref();
             let delays = wired.map(|wired| wired.delays);
-            let picture = wired.and_then(|wired| picture(path, role, wired.size, &wired.picture).transpose());
+            let picture =
+                wired.and_then(|wired| picture(path, role, wired.contract.size, &wired.picture).transpose());
             let picture = match picture.transpose() {
                 Ok(picture) => picture,
                 Err(problem) => {

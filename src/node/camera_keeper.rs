@@ -72,8 +72,6 @@ pub struct AttendantSetup {
     pub blocks: usize,
     /// Where they come from.
     pub pool: Pool,
-    /// Pixels of a frame, bytes.
-    pub pixel_bytes: usize,
     /// The recorder.
     pub to_recorder: Sender<RecorderCommand>,
     /// The node.
@@ -315,8 +313,8 @@ impl Work {
         self.setup.options.contract = set_up.contract;
         self.setup.camera.watched = set_up.watched;
         self.set = set_up.settings.len();
-        let (pool, pixel_bytes, count) = (&self.setup.pool, self.setup.pixel_bytes, self.setup.blocks);
-        let blocks = || pool.take(pixel_bytes, count);
+        let (pool, contract, count) = (&self.setup.pool, set_up.contract, self.setup.blocks);
+        let blocks = || pool.take(contract.pixels(), contract.received_bytes(), count);
         let (mut stream, quiet) = quiet_stream(camera.as_mut(), blocks, &self.setup.options).map_err(text)?;
         if !quiet {
             // The other cameras are sending: whatever its socket caught of them must have passed.

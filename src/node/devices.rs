@@ -62,7 +62,7 @@ impl OpenCamera {
         let (id, identity, state) = (self.config.id.clone(), camera.identity().clone(), camera.state()?);
         self.contract = contract;
         self.watched = watched;
-        Ok(PreparedCamera { id, size: self.size, identity, settings, told, state })
+        Ok(PreparedCamera { id, contract, identity, settings, told, state })
     }
 
     /// What is not as it was set, where the camera can be asked.
@@ -109,8 +109,8 @@ impl SharedBackend {
 pub struct PreparedCamera {
     /// Its name in the rig.
     pub id: CameraId,
-    /// Columns and rows of its images.
-    pub size: (usize, usize),
+    /// What its frames must be.
+    pub contract: FrameContract,
     /// Who it is.
     pub identity: CameraIdentity,
     /// Settings as read back.
@@ -153,20 +153,22 @@ impl Devices {
         let slot = |camera: &CameraConfig| {
             let mut known = config.rig.cameras().filter(|(_, known)| known.id == camera.id);
             let size = known.next().map_or((0, 0), |(_, known)| (known.device.width, known.device.height));
+            let pixel = camera.words.pixel.unwrap_or_default();
             OpenCamera {
                 config: camera.clone(),
                 camera: None,
                 identity: None,
                 problem: not_yet(),
                 size,
-                contract: FrameContract { size, offset: (0, 0) },
+                contract: FrameContract { pixel, size, place: (0, 0), offset: (0, 0), chunk_room: 0 },
                 wishes: Wishes::of(config, camera),
                 watched: State::new(),
                 next_try: Instant::now(),
             }
         };
         let slots: Vec<OpenCamera> = config.cameras.iter().map(slot).collect();
-        let blocks = |slot: &OpenCamera| config.buffers_per_camera * block_bytes(slot.size.0 * slot.size.1);
+        let blocks =
+            |slot: &OpenCamera| config.buffers_per_camera * block_bytes(slot.contract.received_bytes());
         let needed: usize = slots.iter().map(blocks).sum();
         Self {
             pool: Pool::new(config.realtime.lock_memory, needed as u64),
@@ -420,7 +422,6 @@ impl Devices {
         for (receiver, setup) in running.into_iter().zip(receivers) {
             let slot = &mut self.slots[setup.camera];
             let setup = AttendantSetup {
-                pixel_bytes: slot.size.0 * slot.size.1,
                 camera: slot.hand_over(),
                 backend: self.backend.clone(),
                 options: stream_options(&self.config, slot.contract),
@@ -449,12 +450,13 @@ impl Devices {
     fn create_stream(&mut self, setup: &ReceiverSetup, count: usize) -> Result<Receiver, Fault> {
         let slot = &mut self.slots[setup.camera];
         let options = stream_options(&self.config, slot.contract);
-        let (id, pixel_bytes) = (&slot.config.id, slot.size.0 * slot.size.1);
+        let (id, contract) = (&slot.config.id, slot.contract);
         let fault = |error: String| Fault::new(Exit::Device, format!("camera {id}: {error}"));
         let camera = slot.camera.as_mut().ok_or_else(|| fault("not open".to_owned()))?;
         let pool = &self.pool;
-        let (stream, quiet) = quiet_stream(camera.as_mut(), || pool.take(pixel_bytes, count), &options)
-            .map_err(|e| fault(e.to_string()))?;
+        let blocks = || pool.take(contract.pixels(), contract.received_bytes(), count);
+        let (stream, quiet) =
+            quiet_stream(camera.as_mut(), blocks, &options).map_err(|e| fault(e.to_string()))?;
         if !quiet {
             return Err(fault(
                 "packets arrive on its stream before it was told to send; expected silence: is another program, or a \

@@ -4,7 +4,7 @@
 use super::node_thread::Node;
 use super::state_machine::Event;
 use crate::base::{Exit, Fault};
-use crate::config::NodeConfig;
+use crate::config::{NodeConfig, RigCamera};
 use crate::control::request::{KeepRequest, Phase, SessionRequest};
 use crate::host::frame_memory::block_bytes;
 use crate::host::memory;
@@ -28,8 +28,12 @@ pub(crate) fn held_sets(request: &SessionRequest, rate_hz: f64) -> usize {
 /// # Errors
 /// The limit, by name.
 pub(crate) fn check_limits(config: &NodeConfig, memory: &ProcessMemory, held: u64) -> Result<(), Fault> {
-    let sizes = config.rig.cameras_of(&config.node).map(|(_, camera)| &camera.device);
-    let set_bytes: u64 = sizes.map(|device| block_bytes(device.width * device.height) as u64).sum();
+    let bytes = |camera: &RigCamera| {
+        let said = config.cameras.iter().find(|said| said.id == camera.id).and_then(|said| said.words.pixel);
+        said.unwrap_or_default().sent_bytes((camera.device.width, camera.device.height))
+    };
+    let cameras = config.rig.cameras_of(&config.node);
+    let set_bytes: u64 = cameras.map(|(_, camera)| block_bytes(bytes(camera)) as u64).sum();
     let sets = held.saturating_add(config.buffers_per_camera as u64);
     memory
         .check(config.cameras.len() as u64, set_bytes.saturating_mul(sets))
@@ -53,7 +57,7 @@ impl Node {
         check_limits(&self.config, &self.memory, sets)?;
         let Some(available) = memory::available().filter(|_| sets > 0) else { return Ok(()) };
         let set_bytes: u64 =
-            session.cameras.iter().map(|camera| block_bytes(camera.size.0 * camera.size.1) as u64).sum();
+            session.cameras.iter().map(|camera| block_bytes(camera.contract.received_bytes()) as u64).sum();
         let ordinary = self.config.buffers_per_camera as u64;
         // What the node has from earlier sessions is not taken once more.
         let has = self.devices.idle_bytes();

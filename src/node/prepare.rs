@@ -34,12 +34,13 @@ impl Node {
         };
         let camera = |camera: &PreparedCamera| CameraHeader {
             id: camera.id.clone(),
-            width: u32::try_from(camera.size.0).unwrap_or(u32::MAX),
-            height: u32::try_from(camera.size.1).unwrap_or(u32::MAX),
+            width: u32::try_from(camera.contract.size.0).unwrap_or(u32::MAX),
+            height: u32::try_from(camera.contract.size.1).unwrap_or(u32::MAX),
             device: format!(
                 "{} {} {}",
                 camera.identity.vendor, camera.identity.model, camera.identity.serial
             ),
+            pixel_format: camera.contract.pixel.name().to_owned(),
             settings: camera.settings.iter().map(read_back).collect(),
             state: camera.state.clone(),
         };
@@ -109,8 +110,8 @@ impl Node {
         };
         let lane = |camera: &PreparedCamera| LaneSetup {
             id: camera.id.clone(),
-            width: u32::try_from(camera.size.0).unwrap_or(u32::MAX),
-            height: u32::try_from(camera.size.1).unwrap_or(u32::MAX),
+            width: u32::try_from(camera.contract.size.0).unwrap_or(u32::MAX),
+            height: u32::try_from(camera.contract.size.1).unwrap_or(u32::MAX),
             matcher: Matcher::new(start),
         };
         let lanes: Vec<LaneSetup> = session.cameras.iter().map(lane).collect();

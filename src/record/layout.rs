@@ -118,6 +118,10 @@ pub struct CameraHeader {
     pub height: u32,
     /// Model, serial number and firmware as the camera states them; empty where unknown.
     pub device: String,
+    /// What its pixels were before they became the recording's 8 bits, by its PFNC name; empty in older recordings, and
+    /// where it is not known.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub pixel_format: String,
     /// Settings as read back from the camera after they were set.
     pub settings: Vec<FeatureSetting>,
     /// Everything that could be read of it when it was prepared, as text; none in older recordings.

@@ -3,12 +3,12 @@
 //! to something else than a session records, or whose clock has another unit, beside ones that do not.
 
 use crate::lab::{
-    WORDS, assert_contains, fourdbody, options, small_rig, start_laboratory, start_nodes, text_of,
+    WORDS, assert_contains, fourdbody, options, say, small_rig, start_laboratory, start_nodes, text_of,
 };
 use crate::session_faults::check_frames;
 use fourdbody::config::FEATURES_OF_WORDS;
 use fourdbody::record::{ClockSample, GapCause, NodeEvent, SessionReader};
-use fourdbody_simulator::gige::{ClockHabit, Form, Habits};
+use fourdbody_simulator::gige::{ClockHabit, Form, Habits, Payload};
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -52,7 +52,7 @@ fn frames_that_are_no_plain_mono8_of_their_size_are_gaps_that_say_so() {
         ("h1_up", Form { padding: 4, ..plain }, GapCause::SizeMismatch, "4 bytes of padding after every row"),
         (
             "h1_low",
-            Form { appended: 16, announced: true, ..plain },
+            Form { appended: 16, payload: Payload::ImageWithChunks, ..plain },
             GapCause::WrongFormat,
             "it carries chunks beside the image",
         ),
@@ -91,6 +91,66 @@ fn frames_that_are_no_plain_mono8_of_their_size_are_gaps_that_say_so() {
     assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
 }
 
+/// Cameras whose chunks cannot be switched off: the image is taken, the chunks are left, and both are named. What does not
+/// begin with the image that was agreed on is a gap.
+#[test]
+fn an_image_that_chunks_follow_is_taken_where_they_cannot_be_switched_off() {
+    const FROM: i64 = 6;
+    const TRIGGERS: u64 = 16;
+    let with = |payload, appended| Form { payload, appended, ..Form::default() };
+    let twelve = |form| Form { format: MONO12P, told: MONO12P, ..form };
+    let data = with(Payload::ChunkData, 24);
+    let cases: [(&str, Form, Option<Form>); 7] = [
+        ("h0_up", with(Payload::ImageWithChunks, 16), None),
+        ("h0_low", with(Payload::ExtendedChunks, 24), None),
+        ("h1_up", data, None),
+        ("h1_low", twelve(data), None),
+        // Without chunks for a while, which a camera may do.
+        ("h2_up", with(Payload::ImageWithChunks, 16), Some(Form::default())),
+        // No whole chunks, in frames whose leader says nothing of an image; and an image of another depth.
+        ("h2_low", data, Some(with(Payload::ChunkData, 12))),
+        ("h3_up", data, Some(twelve(data))),
+    ];
+    let habit = |power_on, frames: Option<Form>| Habits {
+        power_on,
+        frames: frames.map(|form| (FROM, form)),
+        ..Habits::default()
+    };
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let options = LaboratoryOptions {
+        habits: cases.iter().map(|(id, form, frames)| ((*id).to_owned(), habit(*form, *frames))).collect(),
+        ..options(small_rig(20.0), dir.path(), 203)
+    };
+    let laboratory = start_laboratory(&options);
+    say(&laboratory.nodes[0].path, "h1_low", "pixel = \"mono12p\"");
+    let mut nodes = start_nodes(&laboratory);
+    let captured = capture(&laboratory, TRIGGERS, "chunks");
+    assert_eq!(captured.status.code(), Some(3), "two cameras lose frames: {}", text_of(&captured));
+    nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
+    let session = dir.path().join("sessions/chunks");
+    let gaps = check_frames(&session);
+    let refused = |cause| (FROM as u64..TRIGGERS).map(|trigger| (trigger, cause)).collect::<Vec<_>>();
+    let reader = SessionReader::open(&session).expect("readable");
+    for (place, (camera, form, _)) in cases.iter().enumerate() {
+        match place {
+            5 => assert_eq!(gaps[place], refused(GapCause::WrongFormat)),
+            6 => {
+                assert!(gaps[place].iter().map(|(trigger, _)| *trigger).eq(FROM as u64..TRIGGERS), "{gaps:?}")
+            }
+            _ => assert_eq!(gaps[place], [], "{camera}"),
+        }
+        let told = events(&reader, camera, "camera_setting").join("\n");
+        let expected =
+            format!("up to {} bytes of chunks follow each image, and are not recorded", form.appended);
+        assert_contains(&told, &[&expected, "ChunkModeActive is true, expected false, and cannot be set"]);
+    }
+    assert_eq!(gaps[7], [], "a camera beside them loses nothing");
+    let said = events(&reader, "h2_low", "frame_refused");
+    assert!(said.len() == 1 && said[0].contains("is no whole row of chunks"), "{said:?}");
+    let verified = fourdbody(&["verify", &session.display().to_string()]);
+    assert_eq!(verified.status.code(), Some(3), "{}", text_of(&verified));
+}
+
 /// A list of raw settings, with the words that are left to it.
 fn list(settings: &str) -> String {
     let named =
@@ -121,11 +181,11 @@ const COMMON: &str = r#"["PixelFormat", "Mono8"], ["Width", 320], ["Height", 200
 #[test]
 fn what_a_session_needs_is_asked_of_cameras_and_lists_keep_their_order() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let form = Form { format: MONO16, told: MONO16, ..Form::default() };
-    let chunks = Form { appended: 16, announced: true, ..Form::default() };
+    let form = Form { format: RGB8, told: RGB8, ..Form::default() };
+    let padded = Form { padding: 4, ..Form::default() };
     let power_on = |power_on| Habits { power_on, ..Habits::default() };
     let options = LaboratoryOptions {
-        habits: habits([("h0_up", power_on(form)), ("h0_low", power_on(chunks))]),
+        habits: habits([("h0_up", power_on(form)), ("h0_low", power_on(padded))]),
         ..options(small_rig(20.0), dir.path(), 201)
     };
     let laboratory = start_laboratory(&options);
@@ -133,7 +193,7 @@ fn what_a_session_needs_is_asked_of_cameras_and_lists_keep_their_order() {
     let wrong = r#", ["TriggerSelector", "FrameStart"], ["TriggerMode", "Off"],
         ["TriggerSelector", "AcquisitionStart"], ["TriggerMode", "On"]"#;
     let own = |place| match place {
-        0 => r#"["PixelFormat", "Mono16"]"#.to_owned(),
+        0 => r#"["PixelFormat", "RGB8"]"#.to_owned(),
         2 => r#"["TriggerMode", "Off"]"#.to_owned(),
         3 => format!("{COMMON}{wrong}"),
         _ => String::new(),
@@ -147,10 +207,11 @@ fn what_a_session_needs_is_asked_of_cameras_and_lists_keep_their_order() {
         &text,
         &[
             "camera h0_up: ",
-            "PixelFormat is Mono16, expected Mono8: say pixel = \"mono8\"",
-            "PayloadSize is 128000, expected 64000",
+            "PixelFormat is RGB8, expected one of Mono8, Mono10p",
+            "say pixel = \"mono8\"",
+            "PayloadSize is 192000, expected 64000",
             "camera h0_low: ",
-            "PayloadSize is 64016, expected 64000: switch off what it appends",
+            "PayloadSize is 64800, expected 64000: switch off what it appends",
             "camera h1_up: ",
             "TriggerMode is Off, expected On",
             "camera h1_low: ",

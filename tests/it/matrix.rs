@@ -13,11 +13,11 @@ use fourdbody::base::ids::{CameraId, TriggerIndex};
 use fourdbody::camera::description::Description;
 use fourdbody::camera::profile::Link;
 use fourdbody::camera::{AravisCameras, CameraBackend, CameraError, Wishes};
-use fourdbody::config::CameraWords;
+use fourdbody::config::{CameraWords, Channel};
 use fourdbody::data::FrameSource;
 use fourdbody::record::{SETTING_CHANGED, SessionReader, UNCONFIRMED};
 use fourdbody_simulator::gige::{
-    CameraOptions, Exposures, Form, Habits, Make, SimulatedCamera, StampPoint, TestImages,
+    CameraOptions, Exposures, Form, Habits, Make, Payload, SimulatedCamera, StampPoint, TestImages,
 };
 use fourdbody_simulator::images::ImageSource;
 use fourdbody_simulator::laboratory::LaboratoryOptions;
@@ -120,6 +120,7 @@ fn wishes(line: Option<&str>) -> Wishes {
         raw: Vec::new(),
         exposure_us: EXPOSURE_US,
         size: SIZE,
+        channel: Channel::G,
         triggered: true,
         action: None,
         link: Link { cameras: 1, packet_bytes: 9000, period_ns: 50_000_000 },
@@ -265,7 +266,7 @@ fn variants() -> Vec<Case> {
         ("Mono16", Form { format: MONO16, told: MONO16, ..plain }),
         ("Mono16 in the leader", Form { told: MONO16, ..plain }),
         ("padded rows", Form { padding: 4, ..plain }),
-        ("chunks", Form { appended: 16, announced: true, ..plain }),
+        ("chunks", Form { appended: 16, payload: Payload::ImageWithChunks, ..plain }),
         ("bytes appended", Form { appended: 16, ..plain }),
         ("short packets", Form { short: 4, ..plain }),
     ];

@@ -3,7 +3,7 @@
 
 use fourdbody::camera::description::{Access, Bounds, Description, Feature, Kind};
 use fourdbody::camera::profile::{Amount, Link, Plan, Wishes, must_be, resolve};
-use fourdbody::config::CameraWords;
+use fourdbody::config::{CameraWords, Channel};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -82,6 +82,7 @@ pub fn wishes(line: &str) -> Wishes {
         raw: Vec::new(),
         exposure_us: 1000.0,
         size: (1920, 1200),
+        channel: Channel::G,
         triggered: true,
         action: None,
         link: Link { cameras: 1, packet_bytes: 9000, period_ns: 8_333_333 },

@@ -32,6 +32,7 @@ pub fn header(node: &str, cameras: &[&str], triggers: Option<u64>) -> RecordingH
         width: WIDTH,
         height: HEIGHT,
         device: "test".to_owned(),
+        pixel_format: String::new(),
         settings: Vec::new(),
         state: std::collections::BTreeMap::new(),
     };

@@ -33,7 +33,7 @@ const SIZE: (usize, usize) = (1920, 1200);
 pub const BALL: ([f64; 3], f64) = ([0.05, -0.02, 1.03], 0.2);
 
 /// A ball with the marker on it, as both cameras of the first head see it.
-fn light() -> &'static [Plane<u8>; 2] {
+pub fn light() -> &'static [Plane<u8>; 2] {
     static LIGHT: OnceLock<[Plane<u8>; 2]> = OnceLock::new();
     LIGHT.get_or_init(|| {
         [0, 1].map(|camera| {
@@ -144,7 +144,7 @@ fn hex(digest: impl AsRef<[u8]>) -> String {
 }
 
 /// What a PLY file has behind its comments.
-fn points_of(path: &Path) -> Vec<u8> {
+pub fn points_of(path: &Path) -> Vec<u8> {
     let mut bytes = std::fs::read(path).expect("readable");
     let head = b"end_header\n";
     let end = bytes.windows(head.len()).position(|window| window == head).expect("a PLY file");

@@ -17,6 +17,9 @@ pub fn xml(model: &str, habits: &Habits) -> Vec<u8> {
     let mut xml = Description::default();
     xml.device_control();
     xml.image_format_control();
+    if habits.power_on.payload.has_chunks() {
+        xml.chunks();
+    }
     xml.acquisition_control();
     let packet_max = match habits.packet_max_told {
         0 => *PACKET_SIZE.end(),
@@ -203,6 +206,17 @@ impl Description {
         self.integer("OffsetX", Id::OffsetX, Mode::Rw, true, Limits::Range(0, 0, 1));
         self.integer("OffsetY", Id::OffsetY, Mode::Rw, true, Limits::Range(0, 0, 1));
         self.enumeration("PixelFormat", Id::PixelFormat, true, &FORMATS);
+    }
+
+    /// Chunks that cannot be switched off.
+    fn chunks(&mut self) {
+        self.category("ChunkDataControl");
+        self.feature("ChunkModeActive");
+        self.node(
+            "<Boolean Name=\"ChunkModeActive\"><pValue>ChunkModeActiveCalc</pValue><OnValue>1</OnValue>\
+             <OffValue>0</OffValue></Boolean>",
+        );
+        self.node("<IntSwissKnife Name=\"ChunkModeActiveCalc\"><Formula>1</Formula></IntSwissKnife>");
     }
 
     fn acquisition_control(&mut self) {

@@ -5,12 +5,20 @@
 //! the trailer (n + 1). Headers have 8 bytes with 16-bit block ids, which skip 0 when they wrap, or 20
 //! bytes with 64-bit block ids ("extended id mode").
 
+use serde::Deserialize;
+
 /// Pixel format code of 8-bit grey (GenICam PFNC).
 pub const MONO8: u32 = 0x0108_0001;
 /// Names and codes (PFNC) of the pixel formats that the cameras have.
-pub const FORMATS: [(&str, u32); 5] = [
+pub const FORMATS: [(&str, u32); 11] = [
     ("Mono8", MONO8),
+    ("Mono10", 0x0110_0003),
+    ("Mono10p", 0x010a_0046),
+    ("Mono10Packed", 0x010c_0004),
+    ("Mono12", 0x0110_0005),
     ("Mono12p", 0x010c_0047),
+    ("Mono12Packed", 0x010c_0006),
+    ("Mono14", 0x0110_0025),
     ("Mono16", 0x0110_0007),
     ("BayerRG8", 0x0108_0009),
     ("RGB8", 0x0218_0014),
@@ -28,9 +36,12 @@ const LEADER: u8 = 1;
 const TRAILER: u8 = 2;
 const PAYLOAD: u8 = 3;
 const EXTENDED: u8 = 0x80;
-const PAYLOAD_TYPE_IMAGE: u16 = 1;
-/// Set in the payload type of an image that chunks follow.
-const WITH_CHUNKS: u16 = 0x4000;
+/// Payload type of chunks of which a leader says nothing but the time.
+const CHUNK_DATA: u16 = 4;
+/// Bytes of its leader after the GVSP header.
+const SHORT_LEADER_BODY: usize = 12;
+/// Bytes of a chunk's id and length.
+const CHUNK_TAIL: usize = 8;
 const FLAG_RESEND: u16 = 0x0001;
 
 /// Packet status field.
@@ -72,6 +83,29 @@ impl IdMode {
     }
 }
 
+/// What a leader says that a payload is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[repr(u16)]
+pub enum Payload {
+    /// An image.
+    #[default]
+    Image = 1,
+    /// An image that chunks follow.
+    ImageWithChunks = 0x4001,
+    /// The same, as the standard had it before.
+    ExtendedChunks = 5,
+    /// Chunks, the first of which is an image.
+    ChunkData = CHUNK_DATA,
+}
+
+impl Payload {
+    /// Whether chunks follow the image.
+    pub fn has_chunks(self) -> bool {
+        self != Self::Image
+    }
+}
+
 /// What the payload of an image is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Form {
@@ -83,15 +117,15 @@ pub struct Form {
     pub padding: u16,
     /// Bytes after the image.
     pub appended: u32,
-    /// The leader says that chunks follow the image.
-    pub announced: bool,
+    /// What the leader says that the payload is.
+    pub payload: Payload,
     /// Bytes by which every full packet is shorter than asked.
     pub short: u16,
 }
 
 impl Default for Form {
     fn default() -> Self {
-        Self { format: MONO8, told: MONO8, padding: 0, appended: 0, announced: false, short: 0 }
+        Self { format: MONO8, told: MONO8, padding: 0, appended: 0, payload: Payload::Image, short: 0 }
     }
 }
 
@@ -104,6 +138,24 @@ impl Form {
     /// Bytes of a whole payload.
     pub fn payload(&self, width: u32, height: u32) -> usize {
         (self.line(width) + usize::from(self.padding)) * height as usize + self.appended as usize
+    }
+
+    /// Byte number `at` behind an image of `image` bytes. Where chunks were announced and fit, they are the image's tail and
+    /// one chunk that has the rest of the room; else, and in what that chunk holds, it is something that is not 0.
+    pub fn behind(&self, at: usize, image: usize) -> u8 {
+        const FILL: u8 = 0xa5;
+        let room = self.appended as usize;
+        let tail = |id: u32, length: usize, at: usize| {
+            let length = u32::try_from(length).unwrap_or(u32::MAX);
+            [id.to_be_bytes(), length.to_be_bytes()].concat()[at]
+        };
+        let fits = room == CHUNK_TAIL || room >= 2 * CHUNK_TAIL;
+        match at.checked_sub(room - CHUNK_TAIL.min(room)) {
+            _ if !self.payload.has_chunks() || !fits => FILL,
+            _ if at < CHUNK_TAIL => tail(1, image, at),
+            Some(at) => tail(2, room - 2 * CHUNK_TAIL, at),
+            None => FILL,
+        }
     }
 
     /// Whether a payload is the image's pixels and nothing else.
@@ -234,8 +286,7 @@ pub fn leader(layout: &Layout, status: Status, block_id: u64, timestamp: u64) ->
     let mut bytes = Vec::with_capacity(size + LEADER_BODY);
     bytes.extend_from_slice(&header(layout.ids, status, LEADER, block_id, 0)[..size]);
     bytes.extend([0, 0]);
-    let chunks = if layout.form.announced { WITH_CHUNKS } else { 0 };
-    bytes.extend((PAYLOAD_TYPE_IMAGE | chunks).to_be_bytes());
+    bytes.extend((layout.form.payload as u16).to_be_bytes());
     bytes.extend(timestamp.to_be_bytes());
     bytes.extend(layout.form.told.to_be_bytes());
     bytes.extend(layout.width.to_be_bytes());
@@ -243,6 +294,9 @@ pub fn leader(layout: &Layout, status: Status, block_id: u64, timestamp: u64) ->
     bytes.extend([0; 8]); // offset x, offset y
     bytes.extend(layout.form.padding.to_be_bytes());
     bytes.extend([0; 2]); // padding y
+    if layout.form.payload == Payload::ChunkData {
+        bytes.truncate(size + SHORT_LEADER_BODY);
+    }
     bytes
 }
 
@@ -252,7 +306,7 @@ pub fn trailer(layout: &Layout, status: Status, block_id: u64) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(size + TRAILER_BODY);
     bytes.extend_from_slice(&header(layout.ids, status, TRAILER, block_id, layout.trailer_id())[..size]);
     bytes.extend([0, 0]);
-    bytes.extend(PAYLOAD_TYPE_IMAGE.to_be_bytes());
+    bytes.extend((layout.form.payload as u16).to_be_bytes());
     bytes.extend(layout.height.to_be_bytes());
     bytes
 }
@@ -326,6 +380,22 @@ mod tests {
         // status ok, block id | payload format 3, packet id 257
         assert_eq!(headers.get(257), [0x00, 0x00, 0xab, 0xcd, 0x03, 0x00, 0x01, 0x01]);
         assert!(headers.get(0).is_empty() && headers.get(260).is_empty());
+    }
+
+    /// Chunks are found from the end of a payload: each ends with its id and its length.
+    #[test]
+    fn what_is_appended_is_chunks_where_they_were_announced() {
+        let bytes = |payload, appended: u32| -> Vec<u8> {
+            let form = Form { payload, appended, ..Form::default() };
+            (0..appended as usize).map(|at| form.behind(at, 0x1234)).collect()
+        };
+        let image = [0, 0, 0, 1, 0, 0, 0x12, 0x34];
+        assert_eq!(bytes(Payload::ImageWithChunks, 8), image);
+        let second = [0xa5, 0xa5, 0, 0, 0, 2, 0, 0, 0, 2];
+        assert_eq!(bytes(Payload::ChunkData, 18), [&image[..], &second].concat());
+        assert_eq!(bytes(Payload::Image, 8), [0xa5; 8]);
+        assert_eq!(bytes(Payload::ExtendedChunks, 12), [0xa5; 12]);
+        assert!(bytes(Payload::ChunkData, 0).is_empty());
     }
 
     #[test]

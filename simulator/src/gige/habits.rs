@@ -2,7 +2,7 @@
 //! What cameras do differently from each other, and in which they are right by their own lights: formats, padding, chunks,
 //! packets of another size, clocks.
 
-use super::gvsp::{FORMATS, Form};
+use super::gvsp::{FORMATS, Form, Payload};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -306,9 +306,9 @@ struct FormTable {
     /// Bytes after the image.
     #[serde(default)]
     appended: u32,
-    /// The leader says that chunks follow.
+    /// What the leader says that the payload is.
     #[serde(default)]
-    announced: bool,
+    payload: Payload,
     /// Bytes that each packet is shorter than asked.
     #[serde(default)]
     short: u16,
@@ -326,26 +326,29 @@ impl FormTable {
         };
         let format = code(self.pixel_format.as_deref().unwrap_or("Mono8"))?;
         let told = self.told.as_deref().map_or(Ok(format), code)?;
-        let Self { padding, appended, announced, short, .. } = *self;
-        Ok(Form { format, told, padding, appended, announced, short })
+        let Self { padding, appended, payload, short, .. } = *self;
+        Ok(Form { format, told, padding, appended, payload, short })
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{ClockHabit, Form, Habits};
+    use super::{ClockHabit, Form, Habits, Payload};
 
     #[test]
     fn habits_are_read_by_camera_and_wrong_ones_refused() {
         let text = "[[habit]]\ncamera = \"h0_up\"\nclock = \"bootstrap\"\n\
             frames = { pixel_format = \"Mono16\", from_trigger = 20 }\n\
-            [[habit]]\ncamera = \"h0_low\"\npower_on = { appended = 16, announced = true }\n\
-            ptp_away = { from_trigger = 40, to_trigger = 90 }\n";
+            [[habit]]\ncamera = \"h0_low\"\npower_on = { appended = 16, payload = \"image_with_chunks\" }\n\
+             ptp_away = { from_trigger = 40, to_trigger = 90 }\n";
         let habits = Habits::parse(text).expect("valid");
         let up = habits["h0_up"];
         assert_eq!(up.clock, ClockHabit::Bootstrap);
         assert_eq!(up.frames.map(|(from, form)| (from, form.format)), Some((20, 0x0110_0007)));
-        assert_eq!(habits["h0_low"].power_on, Form { appended: 16, announced: true, ..Form::default() });
+        assert_eq!(
+            habits["h0_low"].power_on,
+            Form { appended: 16, payload: Payload::ImageWithChunks, ..Form::default() }
+        );
         assert_eq!((up.ptp_away, habits["h0_low"].ptp_away), (None, Some((40, 90))));
         for wrong in ["clock = \"sun\"", "frames = { pixel_format = \"Grey\" }", "colour = 1"] {
             assert!(Habits::parse(&format!("[[habit]]\ncamera = \"c\"\n{wrong}\n")).is_err(), "{wrong}");

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Injected faults on the wire: which datagrams a frame with a fault becomes, and when a camera injects one.
 
-use super::gvsp::{FORMATS, Form, Layout};
+use super::gvsp::{FORMATS, Form, Layout, Payload};
 use crate::faults::{CameraFaults, CameraPlan, Fault, Kind, Part, Resend};
 use crate::random::hash;
 use crate::wire::TriggerEdge;
@@ -92,7 +92,9 @@ pub fn layout(layout: Layout, fault: Fault) -> Layout {
             Form { format, told, ..form }
         }
         Kind::PaddedRows => Form { padding: EXTRA, ..form },
-        Kind::ChunksAppended => Form { appended: u32::from(EXTRA), announced: true, ..form },
+        Kind::ChunksAppended => {
+            Form { appended: u32::from(EXTRA), payload: Payload::ImageWithChunks, ..form }
+        }
         // As firmware does that rounds them down (aravis#687).
         Kind::ShortPackets => Form { short: 4, ..form },
         _ => form,

@@ -5,6 +5,7 @@ use super::gvcp::ResendRequest;
 use super::gvsp::{self, IdMode, Layout, PayloadHeaders, Status};
 use super::inject;
 use super::net::Batch;
+use super::packing;
 use super::picture::Picture;
 use super::{PacketFilter, Statistics};
 use crate::faults::{Fault, Resend};
@@ -67,17 +68,21 @@ fn crop(
     }
 }
 
-/// A byte of a payload that is more than the pixels: wide pixels repeat their value, what fills is not 0.
+/// A byte of a payload that is not the light's 8 bits alone; what fills is not 0.
 fn formed(pixels: &[u8], stride: usize, layout: &Layout, at: usize) -> u8 {
     const FILL: u8 = 0xa5;
+    let image = layout.image_bytes() - layout.form.appended as usize;
+    if let Some(behind) = at.checked_sub(image) {
+        return layout.form.behind(behind, image);
+    }
     let line = layout.form.line(layout.width);
     let row_bytes = line + usize::from(layout.form.padding);
     let (row, offset) = (at / row_bytes, at % row_bytes);
-    if row >= layout.height as usize || offset >= line {
+    if offset >= line {
         return FILL;
     }
-    let column = offset * layout.width as usize / line;
-    pixels.get(row * stride + column).copied().unwrap_or(0)
+    let grey = |column: usize| pixels.get(row * stride + column).copied().unwrap_or(0);
+    packing::byte(layout.form.format, offset, (row, layout.width as usize, line), grey)
 }
 
 /// The last frames sent, for resend requests. No pixels are kept: the source still has them.

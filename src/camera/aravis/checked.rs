@@ -5,6 +5,7 @@
 //! that none of its entries has), and where a text is no UTF-8. They take numbers as written that Aravis may have left
 //! unwritten. What comes from a camera or its description is asked for here: absent is `None`, and a text is made one.
 
+use crate::camera::contract::ImageForm;
 use glib::ffi::{GError, GSList};
 use glib::prelude::{Cast, IsA};
 use glib::translate::{ToGlibPtr, from_glib_full};
@@ -188,15 +189,25 @@ pub(super) fn features_of(category: &aravis::GcCategory) -> Vec<String> {
     names
 }
 
-/// Place and size of an image, and its padding: zeros where the buffer holds none.
-pub(super) fn image_of(buffer: &aravis::Buffer) -> ([i32; 4], (i32, i32)) {
+/// What the leader says of the image of a buffer that has one part: zeros where the buffer holds none.
+pub(super) fn image_of(buffer: &aravis::Buffer) -> ImageForm {
     let (mut region, mut padding) = ([0; 4], (0, 0));
     let [x, y, width, height] = &mut region;
     let buffer = buffer.to_glib_none();
-    // SAFETY: buffer and places live during the calls.
-    unsafe {
+    // SAFETY: buffer and places live during the calls; the caller has seen that there is one part.
+    let pixel_format = unsafe {
         aravis_sys::arv_buffer_get_image_region(buffer.0, x, y, width, height);
         aravis_sys::arv_buffer_get_image_padding(buffer.0, &raw mut padding.0, &raw mut padding.1);
-    }
-    (region, padding)
+        aravis_sys::arv_buffer_get_image_pixel_format(buffer.0)
+    };
+    let [x, y, width, height] = region;
+    ImageForm { pixel_format, size: (width, height), offset: (x, y), padding }
+}
+
+/// Bytes that arrived in a buffer, each at its place.
+pub(super) fn bytes_of(buffer: &aravis::Buffer) -> usize {
+    let mut bytes = 0;
+    // SAFETY: buffer and place live during the call, and nothing is done with the memory.
+    unsafe { aravis_sys::arv_buffer_get_data(buffer.to_glib_none().0, &raw mut bytes) };
+    bytes
 }

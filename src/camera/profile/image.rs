@@ -3,16 +3,16 @@
 
 use super::{Amount, Plan, Trouble, Wishes, Write, check_bounds, first_writable, is_fixed};
 use crate::camera::description::{Description, Feature};
-use crate::config::FeatureValue;
+use crate::config::{FeatureValue, Mosaic, Pixel};
 
 /// Names under which an image of 8-bit grey is known.
 const MONO8: [&str; 8] = ["Mono8", "Mono8bit", "Monochrome8", "Grey8", "Gray8", "Y8", "MonoPacked8", "Luma8"];
 
 pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     if !wishes.left_to_settings("pixel") {
-        match pixel_format(camera) {
-            Ok((entry, writes)) => {
-                plan.pixel_format = Some(entry);
+        match pixel_format(camera, wishes) {
+            Ok((format, writes)) => {
+                plan.pixel_format = Some(format);
                 plan.writes.extend(writes);
             }
             Err(trouble) => plan.troubles.push(trouble),
@@ -24,7 +24,9 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
             plan.writes.push(Write::new(offset, Amount::Value(FeatureValue::Integer(0)), "").optional());
         }
     }
-    for (name, word, size) in [("Width", "width", wishes.size.0), ("Height", "height", wishes.size.1)] {
+    let step = wishes.words.pixel.map_or(1, Pixel::step);
+    let (width, height) = (wishes.size.0 * step, wishes.size.1 * step);
+    for (name, word, size) in [("Width", "width", width), ("Height", "height", height)] {
         if !wishes.left_to_settings(word) {
             match length(camera, name, word, size) {
                 Ok(write) => plan.writes.extend(write),
@@ -34,31 +36,62 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     }
 }
 
-fn pixel_format(camera: &dyn Description) -> Result<(String, Vec<Write>), Trouble> {
+/// The format that is asked for; else 8-bit grey, or what a camera without that has, packed before unpacked.
+fn pixel_format(camera: &dyn Description, wishes: &Wishes) -> Result<((String, Pixel), Vec<Write>), Trouble> {
     const NAME: &str = "PixelFormat";
     let Some(feature) = camera.feature(NAME) else {
         let message =
             "the camera has no PixelFormat, and what its images are cannot be known: expected Mono8";
         return Err(Trouble::new(NAME, message));
     };
-    let Some(entry) = feature.entry(&MONO8) else {
-        let remedy = "a session records 8-bit grey alone: use a camera that sends it";
-        return Err(Trouble::no_entry(NAME, MONO8[0], &feature, remedy));
+    let entry = |pixel: Pixel| match pixel {
+        Pixel::Mono8 => feature.entry(&MONO8),
+        // Whichever its filters are.
+        Pixel::Bayer8(_) => feature.entry(&Mosaic::ALL.map(|mosaic| Pixel::Bayer8(mosaic).name())),
+        deeper => feature.entry(&[deeper.name()]),
     };
-    let entry = entry.to_owned();
+    let fits = |pixel: &Pixel| wishes.size.0.is_multiple_of(pixel.columns_step());
+    let chosen = match wishes.words.pixel {
+        Some(pixel) => pixel,
+        None => {
+            Pixel::GREY.into_iter().find(|pixel| fits(pixel) && entry(*pixel).is_some()).unwrap_or_default()
+        }
+    };
+    let Some(entry) = entry(chosen).map(str::to_owned) else {
+        let remedy = match wishes.words.pixel {
+            Some(_) => "name one that it has (pixel), or none",
+            None => "a session records grey alone: use a camera that sends it",
+        };
+        return Err(Trouble::no_entry(NAME, chosen.name(), &feature, remedy));
+    };
+    if !fits(&chosen) {
+        return Err(Trouble::new(NAME, uneven_rows(chosen, wishes.size.0)));
+    }
     if !is_fixed(&feature) {
-        return Ok((entry.clone(), vec![Write::entry(NAME, &entry, "pixel")]));
+        let writes = vec![Write::entry(NAME, &entry, "pixel")];
+        return Ok(((entry, chosen), writes));
     }
     // Before SFNC 1.4 the format followed from two other features.
     let mut writes = Vec::new();
-    for (name, wanted) in [("PixelCoding", ["Mono"]), ("PixelSize", ["Bpp8"])] {
+    let coding = if chosen.name().ends_with("Packed") { "MonoPacked" } else { "Mono" };
+    let bits = format!("Bpp{}", chosen.depth());
+    for (name, wanted) in [("PixelCoding", coding), ("PixelSize", bits.as_str())] {
         if let Some((name, feature)) = first_writable(camera, &[name])
-            && let Some(wanted) = feature.entry(&wanted)
+            && let Some(wanted) = feature.entry(&[wanted])
         {
             writes.push(Write::entry(name, wanted, "pixel"));
         }
     }
-    Ok((entry, writes))
+    Ok(((entry, chosen), writes))
+}
+
+/// Rows of packed pixels that end within a byte are filled up by some cameras, and by others not.
+pub fn uneven_rows(pixel: Pixel, width: usize) -> String {
+    format!(
+        "PixelFormat {} needs rows of a multiple of {} columns, and the rig has {width}: name another format (pixel)",
+        pixel.name(),
+        pixel.columns_step()
+    )
 }
 
 fn length(

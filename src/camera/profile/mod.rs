@@ -11,11 +11,14 @@ mod time;
 mod trigger;
 
 pub use action::PTP_SWITCHES;
+pub use image::uneven_rows;
 pub use must::{Must, Want, all as must_be};
 pub use trigger::{FRAME_TRIGGERS, frame_trigger, starts_a_frame, trigger_lines};
 
 use super::description::{Access, Description, Feature, list, nearest};
-use crate::config::{ActionConfig, CameraConfig, CameraWords, FeatureSetting, FeatureValue, NodeConfig};
+use crate::config::{
+    ActionConfig, CameraConfig, CameraWords, Channel, FeatureSetting, FeatureValue, NodeConfig, Pixel,
+};
 use std::fmt;
 use std::net::Ipv4Addr;
 
@@ -30,6 +33,8 @@ pub struct Wishes {
     pub exposure_us: f64,
     /// Columns and rows that the rig has for it.
     pub size: (usize, usize),
+    /// The colour of its head.
+    pub channel: Channel,
     /// Its frames are those of the HSU's triggers; a bench may let cameras run by themselves.
     pub triggered: bool,
     /// They are triggered by action commands instead of a line.
@@ -66,6 +71,7 @@ impl Wishes {
             raw: camera.settings.clone(),
             exposure_us: head.map_or(0.0, |head| head.exposure_ns as f64 / 1000.0),
             size: device.map_or((0, 0), |device| (device.width, device.height)),
+            channel: head.map_or(Channel::G, |head| head.channel),
             triggered: config.cameras_are_triggered(),
             action: config.trigger.action(),
             link: Link {
@@ -186,8 +192,16 @@ pub struct Plan {
     pub troubles: Vec<Trouble>,
     /// What an operator should know.
     pub told: Vec<String>,
-    /// The entry of `PixelFormat` that is Mono8, as the camera writes it.
-    pub pixel_format: Option<String>,
+    /// The entry of `PixelFormat` that is wanted, as the camera writes it, and what it is; none where it is left to settings.
+    pub pixel_format: Option<(String, Pixel)>,
+}
+
+impl Plan {
+    /// Bytes of an image, as far as its format is known.
+    fn image_bytes(&self, wishes: &Wishes) -> usize {
+        let pixel = self.pixel_format.as_ref().map_or(Pixel::Mono8, |(_, pixel)| *pixel);
+        pixel.sent_bytes(wishes.size)
+    }
 }
 
 /// How the words are said with a camera's features.

@@ -31,7 +31,7 @@ pub struct Must {
 }
 
 /// A feature that is one or the other, without the vendor's letters.
-const SWITCHED_OFF: [(&str, bool); 28] = [
+const SWITCHED_OFF: [(&str, bool); 30] = [
     ("gammaenable", true),
     ("gammaenabled", true),
     ("gammacorrectionenable", true),
@@ -45,7 +45,8 @@ const SWITCHED_OFF: [(&str, bool); 28] = [
     ("sequenceenable", true),
     ("seqenable", true),
     ("sequencerconfigurationmode", true),
-    ("chunkmodeactive", true),
+    // Where it stays on, the image is taken, and what follows it is left.
+    ("chunkmodeactive", false),
     ("acquisitionframerateenable", true),
     ("acquisitionframerateenabled", true),
     ("framerateenable", true),
@@ -58,6 +59,9 @@ const SWITCHED_OFF: [(&str, bool); 28] = [
     ("sharpnessenabled", false),
     ("sharpeningenable", false),
     ("denoisingenable", false),
+    // What is left of it is asked for where it matters.
+    ("gevscpsbigendian", false),
+    ("pixelbigendian", false),
     ("ptpenable", false),
     ("gevieee1588", false),
 ];
@@ -190,6 +194,9 @@ fn rule(
         }
         "shuttermode" | "sensorshuttermode" => {
             feature.entry(&["Global", "GlobalShutter"]).map(|entry| must(name, text(entry), true))
+        }
+        "devicestreamchannelendianness" => {
+            feature.entry(&["Little"]).map(|entry| must(name, text(entry), false))
         }
         "lutmode" => feature.entry(&["Off", "Linear"]).map(|entry| must(name, text(entry), true)),
         "gamma" if feature.kind == Kind::Float => {

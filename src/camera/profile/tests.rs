@@ -3,7 +3,7 @@
 
 use super::{Amount, Link, Plan, Scale, Want, Wishes, must_be, resolve};
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
-use crate::config::{AUTO, ActionConfig, CameraWords, Edge, PacketDelay};
+use crate::config::{AUTO, ActionConfig, CameraWords, Channel, Edge, Mosaic, PacketDelay, Pixel};
 use std::collections::BTreeMap;
 
 /// A description made up for a test.
@@ -64,6 +64,7 @@ pub(crate) fn wishes() -> Wishes {
         raw: Vec::new(),
         exposure_us: 1000.0,
         size: (1920, 1200),
+        channel: Channel::G,
         triggered: true,
         action: None,
         link: Link { cameras: 1, packet_bytes: 9000, period_ns: 8_333_333 },
@@ -311,7 +312,9 @@ fn edges_and_overlap_are_said_in_the_cameras_words() {
     let falling = said(|words| words.trigger_edge = Some(Edge::Falling));
     assert!(short(&resolve(&usual(&[]), &falling)).contains("TriggerActivation=FallingEdge"));
     let none = usual(&[("TriggerActivation", "TriggerActivation=None")]);
-    assert!(trouble(&none, &wishes()).contains("[\"TriggerActivation\", \"None\"]"));
+    let plan = resolve(&none, &wishes());
+    assert!(plan.troubles.is_empty() && plan.told.join("; ").contains("TriggerActivation has None alone"));
+    assert!(trouble(&none, &falling).contains("[\"TriggerActivation\", \"None\"]"));
     let mut left = wishes();
     left.words.left_to_settings = vec!["trigger_edge".to_owned()];
     assert!(!short(&resolve(&none, &left)).contains("TriggerActivation"), "it is left to the settings");
@@ -341,11 +344,15 @@ fn images_that_are_not_grey_or_do_not_fit_are_refused_by_name() {
     {
         assert!(short(&resolve(&usual(&[("PixelFormat", has)]), &wishes())).starts_with(expected), "{has}");
     }
-    let text = trouble(&usual(&[("PixelFormat", "PixelFormat=BayerRG8,Mono12")]), &wishes());
-    assert!(text.starts_with("`Mono8` is not an entry of PixelFormat: BayerRG8, Mono12"), "{text}");
+    let text = trouble(&usual(&[("PixelFormat", "PixelFormat=BayerRG8,RGB8")]), &wishes());
+    assert!(text.starts_with("`Mono8` is not an entry of PixelFormat: BayerRG8, RGB8"), "{text}");
     let old =
         usual(&[("PixelFormat", "PixelFormat=Mono8,Mono16!ro PixelCoding=Mono,Raw PixelSize=Bpp8,Bpp16")]);
     assert!(short(&resolve(&old, &wishes())).starts_with("PixelCoding=Mono PixelSize=Bpp8"));
+    let fixed = |pixel| said(|words| words.pixel = Some(pixel));
+    let old = "PixelFormat=Mono8,Mono12Packed!ro PixelCoding=Mono,MonoPacked PixelSize=Bpp8,Bpp12";
+    let plan = resolve(&usual(&[("PixelFormat", old)]), &fixed(Pixel::Mono12Packed));
+    assert!(short(&plan).starts_with("PixelCoding=MonoPacked PixelSize=Bpp12"), "{}", short(&plan));
     let mut narrow = usual(&[]);
     let width = narrow.0.get_mut("Width").expect("there");
     width.bounds = Bounds { min: Some(16.0), max: Some(1280.0), step: Some(16.0) };
@@ -354,6 +361,44 @@ fn images_that_are_not_grey_or_do_not_fit_are_refused_by_name() {
     let mut wishes = wishes();
     wishes.size.0 = 1928;
     assert!(trouble(&narrow, &wishes).contains("say 1920 or 1936"));
+}
+
+/// 8 bits where the camera has them, whatever else it has; else the fewest bytes whose rows end with one.
+#[test]
+fn deeper_grey_is_taken_where_it_is_named_or_where_there_is_no_8_bits() {
+    let has = |entries: &str| usual(&[("PixelFormat", &format!("PixelFormat={entries}"))]);
+    let chosen = |entries: &str, wishes: &Wishes| {
+        resolve(&has(entries), wishes).pixel_format.map(|(entry, _)| entry).unwrap_or_default()
+    };
+    let auto = wishes();
+    assert_eq!(chosen("Mono16,Mono12p,Mono8", &auto), "Mono8");
+    assert_eq!(chosen("Mono16,Mono12,Mono12Packed,BayerRG8", &auto), "Mono12Packed");
+    assert_eq!(chosen("Mono16,Mono12p,Mono10p", &auto), "Mono10p");
+    assert_eq!(chosen("Mono16,Mono14", &auto), "Mono14");
+    let odd = Wishes { size: (1922, 1200), ..wishes() };
+    assert_eq!(chosen("Mono16,Mono12p,Mono10p", &odd), "Mono12p");
+    let named = |pixel| said(|words| words.pixel = Some(pixel));
+    assert_eq!(chosen("Mono8,Mono12p", &named(Pixel::Mono12p)), "Mono12p");
+    let text = trouble(&has("Mono8,Mono12p"), &named(Pixel::Mono16));
+    assert!(text.contains("`Mono16` is not an entry of PixelFormat: Mono8, Mono12p; name one"), "{text}");
+    let text = trouble(&has("Mono10p"), &Wishes { size: (1922, 1200), ..named(Pixel::Mono10p) });
+    assert!(text.contains("needs rows of a multiple of 4 columns, and the rig has 1922"), "{text}");
+    // A plane of a mosaic: whatever its filters are, and twice the columns and rows.
+    let plane = Wishes { size: (960, 600), ..named(Pixel::Bayer8(Mosaic::RG)) };
+    assert_eq!(chosen("Mono8,BayerGB8", &plane), "BayerGB8");
+    let writes = short(&resolve(&has("Mono8,BayerGB8"), &plane));
+    assert!(writes.contains("Width=1920 Height=1200"), "{writes}");
+    assert!(trouble(&has("Mono8"), &plane).contains("`BayerRG8` is not an entry of PixelFormat: Mono8"));
+    // Cameras that share a network leave room for frames as long as they are.
+    let paced = |pixel| {
+        let words =
+            CameraWords { pixel: Some(pixel), packet_delay: Some(PacketDelay::Auto), ..wishes().words };
+        let link = Link { cameras: 4, ..wishes().link };
+        let made = [("PixelFormat", "PixelFormat=Mono8,Mono16"), ("GevSCPD", "StreamBytesPerSecond:int")];
+        short(&resolve(&usual(&made), &Wishes { words, link, ..wishes() }))
+    };
+    assert!(paced(Pixel::Mono8).contains("StreamBytesPerSecond=322560012.9"), "{}", paced(Pixel::Mono8));
+    assert!(paced(Pixel::Mono16).contains("StreamBytesPerSecond=645120025.8"), "{}", paced(Pixel::Mono16));
 }
 
 #[test]

@@ -106,7 +106,7 @@ pub fn packet_delay(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) 
     }
     let delay_us = match delay {
         PacketDelay::Microseconds(delay_us) => delay_us,
-        PacketDelay::Auto => automatic_us(wishes),
+        PacketDelay::Auto => automatic_us(wishes, plan.image_bytes(wishes)),
     };
     let names = ["GevSCPD", "GevSCPDelay", "StreamPacketsB2BDelay"];
     let Some((name, feature)) = first_writable(camera, &names) else {
@@ -142,9 +142,8 @@ fn limit_rate(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) -> boo
     };
     let names = ["StreamBytesPerSecond", "DeviceLinkThroughputLimit"];
     let Some(name) = names.iter().find_map(bytes_per_s) else { return false };
-    let (width, height) = wishes.size;
     // Headers are a twentieth where packets are small.
-    let wanted = (width * height) as f64 * 1.05 * 1e9 / (0.9 * wishes.link.period_ns as f64);
+    let wanted = plan.image_bytes(wishes) as f64 * 1.05 * 1e9 / (0.9 * wishes.link.period_ns as f64);
     let amount = Amount::Near { wanted, scale: Scale::Times(1.0), tolerance: 0.05 * wanted, unit: "bytes/s" };
     plan.writes.push(Write::new(name, amount, "packet_delay_us"));
     true
@@ -152,14 +151,14 @@ fn limit_rate(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) -> boo
 
 /// With k cameras in one network each leaves room for the packets of the others on the slowest link that cameras have, as far
 /// as its frame then still fits into nine tenths of a period.
-fn automatic_us(wishes: &Wishes) -> f64 {
-    let Wishes { size: (width, height), link, .. } = wishes;
+fn automatic_us(wishes: &Wishes, image_bytes: usize) -> f64 {
+    let Wishes { link, .. } = wishes;
     if link.cameras < 2 || link.packet_bytes < 64 {
         return 0.0;
     }
     /// 1 Gbit/s.
     const BITS_PER_US: f64 = 1000.0;
-    let packets = (width * height) as f64 / (u64::from(link.packet_bytes) - wire::HEADERS) as f64;
+    let packets = image_bytes as f64 / (u64::from(link.packet_bytes) - wire::HEADERS) as f64;
     let each_us = 0.9 * link.period_ns as f64 / 1000.0 / packets;
     let share = (link.cameras - 1) as f64 / link.cameras as f64;
     let others_us = (u64::from(link.packet_bytes) + wire::ETHERNET) as f64 * 8.0 / BITS_PER_US

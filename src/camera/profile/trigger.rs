@@ -126,7 +126,7 @@ fn by_line(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
         Ok(None) => {}
         Err(trouble) => plan.troubles.push(trouble),
     }
-    match edge(camera, wishes) {
+    match edge(camera, wishes, &mut plan.told) {
         Ok(write) => plan.writes.extend(write),
         Err(trouble) => plan.troubles.push(trouble),
     }
@@ -243,7 +243,7 @@ pub fn trigger_lines(camera: &dyn Description) -> Vec<String> {
     lines
 }
 
-fn edge(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, Trouble> {
+fn edge(camera: &dyn Description, wishes: &Wishes, told: &mut Vec<String>) -> Result<Option<Write>, Trouble> {
     const WORD: &str = "trigger_edge";
     if wishes.left_to_settings(WORD) {
         return Ok(None);
@@ -265,6 +265,12 @@ fn edge(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, Trou
         )),
         Some((name, feature)) => match feature.entry(names) {
             Some(entry) => Ok(Some(Write::entry(name, entry, WORD))),
+            None if said.is_none() && feature.entries == ["None"] => {
+                told.push(format!(
+                    "{name} has None alone: at which edge the camera exposes is its own affair"
+                ));
+                Ok(None)
+            }
             None => {
                 let other = feature.entries.first().map_or("", String::as_str);
                 let remedy = format!(

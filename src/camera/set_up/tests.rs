@@ -7,7 +7,7 @@ use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
 use crate::camera::features::{Failed, Features};
 use crate::camera::profile::Wishes;
 use crate::camera::profile::tests::{Made, made, wishes};
-use crate::config::{FeatureSetting, FeatureValue};
+use crate::config::{Channel, FeatureSetting, FeatureValue, Mosaic, Pixel};
 use std::cell::{Cell, RefCell};
 use std::collections::BTreeMap;
 
@@ -141,7 +141,8 @@ impl Features for Fake {
         }
         if feature == "PayloadSize" {
             let wide = self.values.borrow().get("PixelFormat") == Some(&text("Mono12"));
-            return Ok(FeatureValue::Integer(number("Width") * number("Height") * if wide { 2 } else { 1 }));
+            let image = number("Width") * number("Height") * if wide { 2 } else { 1 };
+            return Ok(FeatureValue::Integer(image + number("Appended")));
         }
         self.values
             .borrow()
@@ -299,6 +300,75 @@ fn settings_of_delivery_are_loaded_first() {
     let done = set_up(&fake, &wanted()).expect("set up");
     assert_eq!(fake.has_now("UserSetSelector"), text("Default"));
     assert!(!done.told.iter().any(|told| told.contains("Auto") || told.contains("Gamma")), "{:?}", done.told);
+}
+
+/// A camera of which something stands at a value that it only lets read.
+fn fixed(feature: &str, form: &str, value: FeatureValue) -> Fake {
+    let mut fake = Fake::new();
+    fake.made.0.extend(made(&format!("{feature}:{form}!ro")).0);
+    fake.values.borrow_mut().insert(feature.to_owned(), value);
+    fake
+}
+
+#[test]
+fn deeper_grey_is_told_and_its_lower_byte_must_come_first() {
+    let mut twelve = wanted();
+    twelve.words.pixel = Some(Pixel::Mono12);
+    let done = set_up(&Fake::new(), &twelve).expect("set up");
+    assert_eq!((done.contract.pixel, done.contract.received_bytes()), (Pixel::Mono12, 2 * 1920 * 1200));
+    assert!(done.told.iter().any(|told| told.contains("the lower 4 are lost")), "{:?}", done.told);
+    // Named by settings, it is what they say.
+    let mut left = wanted();
+    left.words.left_to_settings = vec!["pixel".to_owned()];
+    left.raw = vec![FeatureSetting { feature: "PixelFormat".to_owned(), value: text("Mono12") }];
+    assert_eq!(set_up(&Fake::new(), &left).expect("set up").contract.pixel, Pixel::Mono12);
+
+    let fake = fixed("GevSCPSBigEndian", "bool", FeatureValue::Flag(true));
+    let all = problems(set_up(&fake, &twelve)).join("\n");
+    assert!(all.contains("sends the upper byte of each value first (GevSCPSBigEndian)"), "{all}");
+    set_up(&fake, &wanted()).expect("8 bits have no order");
+}
+
+/// Which pixels are of the head's colour follows from the name that the camera has for its mosaic in the end.
+#[test]
+fn a_plane_of_colour_is_half_as_large_and_the_calibrations_pixels_are_named() {
+    let mosaic = |format: &str| {
+        let mut fake = Fake::new();
+        fake.made.0.extend(made(&format!("PixelFormat=Mono8,{format}")).0);
+        fake
+    };
+    let mut plane = Wishes { size: (960, 600), channel: Channel::B, ..wanted() };
+    plane.words.pixel = Some(Pixel::Bayer8(Mosaic::RG));
+    for (format, place) in [("BayerRG8", (1, 1)), ("BayerGB8", (1, 0)), ("BayerBG8", (0, 0))] {
+        let done = set_up(&mosaic(format), &plane).expect("set up");
+        assert_eq!((done.contract.size, done.contract.sent_size()), ((960, 600), (1920, 1200)));
+        assert_eq!((done.contract.pixel.name(), done.contract.place), (format, place));
+        let told = done.told.join("; ");
+        let (u, v) = place;
+        let pixels = format!("is pixel (2u + {u}, 2v + {v}) of the camera");
+        assert!(told.contains("recorded, 960 x 600") && told.contains(&pixels), "{told}");
+        assert!(!told.contains("makes grey of several pixels"), "{told}");
+    }
+    let mut odd = mosaic("BayerRG8");
+    odd.made.0.get_mut("OffsetX").expect("there").access = Access::Read;
+    odd.values.borrow_mut().insert("OffsetX".to_owned(), FeatureValue::Integer(3));
+    let all = problems(set_up(&odd, &plane)).join("\n");
+    assert!(all.contains("OffsetX is 3 and OffsetY is 0, expected even ones"), "{all}");
+}
+
+#[test]
+fn chunks_that_stay_on_get_room_and_other_bytes_do_not() {
+    let fake = fixed("ChunkModeActive", "bool", FeatureValue::Flag(true));
+    fake.values.borrow_mut().insert("Appended".to_owned(), FeatureValue::Integer(24));
+    let done = set_up(&fake, &wanted()).expect("set up");
+    assert_eq!((done.contract.chunk_room, done.contract.received_bytes()), (24, 1920 * 1200 + 24));
+    let told = done.told.join("; ");
+    for words in ["ChunkModeActive is true, expected false, and cannot be set", "up to 24 bytes of chunks"] {
+        assert!(told.contains(words), "{told}");
+    }
+    fake.values.borrow_mut().insert("ChunkModeActive".to_owned(), FeatureValue::Flag(false));
+    let all = problems(set_up(&fake, &wanted())).join("\n");
+    assert!(all.contains("PayloadSize is 2304024, expected 2304000"), "{all}");
 }
 
 #[test]

@@ -99,6 +99,7 @@ fn cameras_from_frames(rig_text: &str, scans: &[SegmentScan]) -> Option<Vec<Came
         width: *width,
         height: *height,
         device: String::new(),
+        pixel_format: String::new(),
         settings: Vec::new(),
         state: std::collections::BTreeMap::new(),
     };

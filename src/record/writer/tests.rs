@@ -29,6 +29,7 @@ pub(crate) fn header(expected_triggers: Option<u64>) -> RecordingHeader {
         width: SIDE,
         height: SIDE,
         device: String::new(),
+        pixel_format: String::new(),
         settings: Vec::new(),
         state: std::collections::BTreeMap::new(),
     };

@@ -3,7 +3,7 @@
 
 use super::firmware::Firmware;
 use super::rules;
-use crate::gige::gvsp::Form;
+use crate::gige::gvsp::{Form, Payload};
 use crate::gige::picture::Picture;
 use crate::gige::settings::{AcquisitionMode, Edge, ExposureMode, Settings, TriggerSource};
 use std::time::Duration;
@@ -67,7 +67,8 @@ impl Firmware {
         let chunks = self.is_on(&["ChunkModeActive"]);
         let chosen = if chunks && self.is_on(&["ChunkEnable"]) { 2 * CHUNK } else { 0 };
         let appended = habit.appended + if chunks { CHUNK + chosen } else { 0 };
-        Form { format, told: format, appended, announced: chunks || habit.announced, ..habit }
+        let payload = if chunks { Payload::ImageWithChunks } else { habit.payload };
+        Form { format, told: format, appended, payload, ..habit }
     }
 
     /// Whether a trigger by command starts a frame.

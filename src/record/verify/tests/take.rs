@@ -204,6 +204,7 @@ impl Model {
             width: SIDE,
             height: SIDE,
             device: "model".to_owned(),
+            pixel_format: String::new(),
             settings: Vec::new(),
             state: BTreeMap::new(),
         };
