@@ -103,7 +103,7 @@ def judge(camera, asked):
         if values["TriggerSource"] is not None and values["TriggerSource"] != asked["line"]:
             say("TriggerSource", values["TriggerSource"], asked["line"])
         edge = values["TriggerActivation"] or values["TriggerPolarity"]
-        if edge is not None and plain(edge) not in asked["edges"]:
+        if edge is not None and edge != "None" and plain(edge) not in asked["edges"]:
             say("the edge", edge, asked["edges"][0])
         if plain(values["TriggerOverlap"] or "") in ("off", "nonoverlap"):
             overlaps = camera.entries("TriggerOverlap")
@@ -136,9 +136,13 @@ def judge(camera, asked):
     switches = [camera.get(name) for name in ("GammaEnable", "GammaEnabled")]
     if isinstance(gamma, float) and not isclose(gamma, 1.0, abs_tol=0.01) and all(s not in (False, 0) for s in switches):
         say("Gamma", gamma, 1.0)
-    for name, expected in (("PixelFormat", "mono8"), ("AcquisitionMode", "continuous")):
-        if camera.get(name) is not None and plain(camera.get(name)) != expected:
-            say(name, camera.get(name), expected)
+    mode, pixels = camera.get("AcquisitionMode"), camera.get("PixelFormat")
+    if mode is not None and plain(mode) != "continuous":
+        say("AcquisitionMode", mode, "Continuous")
+    # Grey that is deeper than 8 bits is taken where there is no other.
+    deeper = "Mono8" not in camera.entries("PixelFormat") and str(pixels).startswith("Mono1")
+    if pixels is not None and plain(pixels) != "mono8" and not deeper:
+        say("PixelFormat", pixels, "Mono8")
     for name, expected in (("Width", asked["size"][0]), ("Height", asked["size"][1])):
         if camera.get(name) is not None and camera.get(name) != expected:
             say(name, camera.get(name), expected)

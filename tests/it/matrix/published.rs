@@ -12,6 +12,7 @@ use fourdbody::camera::{AravisCameras, CameraBackend, CameraError};
 use fourdbody::data::FrameSource;
 use fourdbody::record::SessionReader;
 use fourdbody_simulator::gige::described::Word;
+use fourdbody_simulator::gige::gvsp::{FORMATS, MONO8};
 use fourdbody_simulator::gige::settings::{Edge, Settings, TriggerSource};
 use fourdbody_simulator::gige::{CameraOptions, Described, SimulatedCamera, TestImages};
 use fourdbody_simulator::images::ImageSource;
@@ -198,6 +199,11 @@ fn run_description(python: &Path, file: &Path, number: u8, cases: &mut Vec<Case>
     is_ready.then_some(Ready { description, make, bench, described, prepared })
 }
 
+/// The form of its pixels.
+fn format_of(judged: &Judged) -> Option<&str> {
+    judged.found.get("PixelFormat").and_then(Value::as_str)
+}
+
 /// The way in which a camera takes frames whose registers say this.
 fn working(judged: &Judged, line: Option<&str>) -> Settings {
     let number = |name: &str| judged.found.get(name).and_then(Value::as_f64);
@@ -213,6 +219,8 @@ fn working(judged: &Judged, line: Option<&str>) -> Settings {
         let edge = trigger["TriggerActivation"].as_str().unwrap_or("RisingEdge");
         settings.edge = if edge.starts_with("Falling") { Edge::Falling } else { Edge::Rising };
     }
+    let code = |(name, code): &(&str, u32)| (Some(*name) == format_of(judged)).then_some(*code);
+    settings.pixel_format = FORMATS.iter().find_map(code).unwrap_or(MONO8);
     settings.picture.offset = (size("OffsetX", 0), size("OffsetY", 0));
     settings
 }
@@ -220,6 +228,7 @@ fn working(judged: &Judged, line: Option<&str>) -> Settings {
 /// A session of up to eight of them, that work as their registers say after a set-up alone.
 fn record(group: &mut [Ready], subnet: u8) -> Vec<(End, bool)> {
     let dir = tempfile::tempdir().expect("a temporary directory");
+    let mut formats = Vec::new();
     for (number, ready) in (1..).zip(group.iter_mut()) {
         let Ready { bench, described, prepared, .. } = ready;
         let (new, line) = (&prepared.memory, prepared.line.as_deref());
@@ -230,6 +239,7 @@ fn record(group: &mut [Ready], subnet: u8) -> Vec<(End, bool)> {
         let judged = bench.judge(described, line, None).expect("as it could be before");
         described.set(prepared.facts.clone(), new.clone(), Some(new.clone()));
         described.work_as(working(&judged, line));
+        formats.push(format_of(&judged).unwrap_or("Mono8").to_lowercase());
     }
     let named = || CAMERAS.iter().zip(group.iter());
     let mut options = options(rig_of(RATE_HZ, SIZE), dir.path(), subnet);
@@ -241,6 +251,7 @@ fn record(group: &mut [Ready], subnet: u8) -> Vec<(End, bool)> {
             say(file, id, &format!("trigger_line = {line:?}"));
         }
         say(file, id, &format!("exposure_us = {EXPOSURE_US:?}"));
+        say(file, id, &format!("pixel = {:?}", formats[place]));
     }
     let mut nodes = start_nodes(&laboratory);
     let triggers = TRIGGERS.to_string();
