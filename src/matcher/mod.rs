@@ -295,26 +295,29 @@ impl Matcher {
             with_this.add(Early::of(frame, next, arrived));
         }
         let followers = &followers[..followers.len().min(Self::FIRST_FOLLOWERS)];
-        let mut with_all = with_this.clone();
-        for follower in followers.iter().filter(|_| frame.complete) {
-            let steps = self.ids.between(frame.id.0, follower.id.0);
-            with_all.add(Early::of(
-                follower,
-                next.saturating_add(steps),
-                self.arrived_ns(follower.host_ns, hsu),
-            ));
-        }
-        let own = |placed: &anchor::Placed| {
-            let place = placed.numbers.len().checked_sub(followers.len() + 1)?;
-            placed.numbers.get(place).copied().flatten().filter(|_| placed.agreed[place])
+        let with = |count: usize| {
+            let mut with = with_this.clone();
+            for follower in &followers[..count] {
+                let steps = self.ids.between(frame.id.0, follower.id.0);
+                let arrived = self.arrived_ns(follower.host_ns, hsu);
+                with.add(Early::of(follower, next.saturating_add(steps), arrived));
+            }
+            with
         };
-        let placed = with_all.place(first, table, period_ns);
-        if let Some(placed) = placed.filter(|_| frame.complete)
-            && let Some(number) = own(&placed)
-        {
+        // Followers that came in fits and starts take nothing from the rhythm before them.
+        let tried = [followers.len(), 8, 4, 2, 0].into_iter().filter(|count| *count <= followers.len());
+        let found = tried.filter(|_| frame.complete).find_map(|count| {
+            let with = with(count);
+            let placed = with.place(first, table, period_ns)?;
+            let place = placed.numbers.len().checked_sub(count + 1)?;
+            let number = placed.numbers.get(place).copied().flatten().filter(|_| placed.agreed[place])?;
+            Some((number, with, placed.numbers))
+        });
+        if let Some((number, with, numbers)) = found {
             self.first_id.get_or_insert(frame.id);
-            return Some(self.settle(frame, number, &with_all, &placed.numbers, table));
+            return Some(self.settle(frame, number, &with, &numbers, table));
         }
+        let with_all = with(if frame.complete { followers.len() } else { 0 });
         let told = (first..=0).all(|number| table.reported_ns(number).is_some());
         let silent = first.saturating_add(next);
         // Without a rhythm the silence before the train is the only witness.

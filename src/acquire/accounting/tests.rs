@@ -439,6 +439,43 @@ fn two_cameras_that_ignored_as_many_triggers_are_not_believed() {
     assert!(kept >= 4 * 50, "{kept}");
 }
 
+/// A camera without timestamps is placed by the rhythm of its warm-up. The reports of that come late, when frames behind it
+/// are there: these came in fits and starts, which takes nothing from the rhythm before them.
+#[test]
+fn a_host_that_is_busy_behind_the_warm_up_hides_no_rhythm() {
+    let mut desk = Desk::warming_up(1, 8);
+    let half = PERIOD_NS as i64 / 2;
+    let at = |number: i64| {
+        let pauses = [-6, -3, -2].iter().filter(|pause| number >= **pause).count() as i64;
+        (2_000_000_000 + number * PERIOD_NS as i64 + pauses * half) as u64
+    };
+    let report = |desk: &mut Desk, number: i64| match u64::try_from(number) {
+        Ok(trigger) => desk.report(trigger, at(number)),
+        Err(_) => desk.accounting.handle(RecorderCommand::WarmUp {
+            number,
+            hsu_time_ns: at(number),
+            late: false,
+            host_time_ns: at(number) + HOST_NS,
+        }),
+    };
+    for number in -8..60 {
+        let late_ns = if (0..9).contains(&number) && number % 2 == 1 { 3_000_000 } else { 0 };
+        desk.frame_stamped((0, 0), (number + 9) as u64, 0, at(number) + 500_000 + late_ns);
+        match number {
+            ..6 => {}
+            6 => (-8..=6).for_each(|number| report(&mut desk, number)),
+            _ => report(&mut desk, number),
+        }
+    }
+    let outcomes = desk.outcomes();
+    assert_eq!(outcomes.len(), 60);
+    // While the host is busy frames of such a camera are given up, and not for the rest of the session.
+    let given_up = outcomes.values().filter(|outcome| **outcome == Err(GapCause::IdentityMismatch)).count();
+    let kept = outcomes.iter().filter(|((trigger, _), outcome)| **outcome == Ok(trigger + 9)).count();
+    assert!(given_up + kept == 60 && given_up <= 16, "{outcomes:?}");
+    assert_eq!(outcomes[&(0, 0)], Ok(9));
+}
+
 /// Trigger 45 is ignored, and the timestamp of 49 is absurd: between them are too few frames for a host of which one in
 /// thirty came late. Behind the absurd one counter and clock contradict each other as before it.
 #[test]
