@@ -359,47 +359,6 @@ impl Accounting {
         }
     }
 
-    /// A trigger whose report is held up is known all the same where cameras agree on its number and its time: one that
-    /// ignored triggers, or whose clock was set, is alone with that. Two may have ignored as many: so for each camera that
-    /// contradicts more than two must agree, and where frames of others may still come (`early`), all must have been heard.
-    fn infer_trigger(&mut self, camera: usize, seen: &Sighting, early: bool) {
-        let Some((number, hsu_ns)) = self.lanes[camera].matcher.claim(seen) else { return };
-        if self.table.is_heard(number) || self.table.is_agreed(number) {
-            return;
-        }
-        let period_ns = i128::from(self.options.period_ns);
-        let tolerance_ns = period_ns / 8;
-        // A train is never faster than its period: a number that comes too early for its count is one too high.
-        let ahead = i128::from(number - self.table.end() + 1);
-        let earliest = |latest: u64| i128::from(latest) + ahead * period_ns - period_ns / 4;
-        if ahead > 0 && self.table.latest_ns().is_some_and(|latest| hsu_ns < earliest(latest)) {
-            return;
-        }
-        let (mut agree, mut contradict) = (1, 0);
-        for (other, lane) in self.lanes.iter().enumerate() {
-            if other == camera || lane.lost || !lane.matcher.is_placed() {
-                continue;
-            }
-            let (mut agrees, mut contradicts, mut heard) = (false, false, false);
-            let claims =
-                lane.pending.iter().filter_map(|other| lane.matcher.claim(&sighting(&other.arrival)));
-            for (other, other_ns) in claims {
-                let (same, near) = (other == number, (other_ns - hsu_ns).abs() <= tolerance_ns);
-                agrees |= same && near;
-                contradicts |= same != near;
-                heard |= other_ns >= hsu_ns - tolerance_ns;
-            }
-            if early && !heard {
-                return;
-            }
-            agree += usize::from(agrees);
-            contradict += usize::from(contradicts && !agrees);
-        }
-        if let Some(hsu_ns) = u64::try_from(hsu_ns).ok().filter(|_| agree >= 2 && agree > 2 * contradict) {
-            self.table.infer(number, hsu_ns);
-        }
-    }
-
     /// Gives a frame's trigger, and those before it that have none, an outcome.
     fn settle(&mut self, matched: Matched, arrival: Arrival) {
         let camera = arrival.camera;
@@ -596,6 +555,7 @@ fn sighting(arrival: &Arrival) -> Sighting {
 }
 
 mod beginning;
+mod held_up;
 mod skipped;
 mod statements;
 mod stood_still;
