@@ -156,7 +156,11 @@ const EXPECTED: [(&str, &str, Expected); 18] = [
         Set(&["ExposureTime=1000us", "Gain=0dB", "TriggerSelector=FrameStart", "OverlapMode=On"]),
     ),
     ("jai_rm_6740ge", "Line0", Refused(&["ExposureTime", "TriggerMode", "ExposureMode"])),
-    ("pco1600", "ExtTrig", Refused(&["TriggerActivation"])),
+    (
+        "pco1600",
+        "ExtTrig",
+        Set(&["TriggerSelector=ExposureStart", "TriggerSource=ExtTrig", "TriggerMode=On"]),
+    ),
     ("pgr_flea3_ge_28s4c", "Line0", Set(&["ExposureTime=1000us", "Gain=0dB", "TriggerSource=Line0"])),
     (
         "pgr_gs3_pge_23s6c",

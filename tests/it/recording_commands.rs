@@ -59,7 +59,7 @@ fn info_describes() {
         &[
             "walk-01",
             "20 at 120 Hz (0.16 s)",
-            "h0_up                     40 x 30        19       1       0  test",
+            "h0_up                     40 x 30        19       1       0  -            test",
             "gap         1 missing_packets, the first at trigger 4",
             "segment-000.mcap",
             "table       20 rows",
