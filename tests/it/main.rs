@@ -47,6 +47,7 @@ mod console_truth;
 mod crafted_files;
 mod crash;
 mod crossing_limbs;
+#[cfg(feature = "aravis")]
 mod deeper_grey;
 #[cfg(feature = "aravis")]
 mod disk_faults;

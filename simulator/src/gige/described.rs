@@ -189,10 +189,12 @@ impl Inner {
         {
             self.memory.clone_from(delivered);
         }
-        // It is done when its bits are other ones, unless these say which of two commands was the last.
+        // It is done when its bits are other ones, unless these say which of two commands was the last: one is zero.
         let place = self.place(address);
         let same = |other: &&Command| other.address == address && other.mask == command.mask;
-        let done = match self.facts.commands.iter().filter(same).count() > 1 {
+        let others = self.facts.commands.iter().filter(same);
+        let is_pair = others.clone().count() > 1 && others.clone().any(|other| other.value == 0);
+        let done = match is_pair {
             true => word,
             false if command.value == 0 => word | command.mask,
             false => word & !command.mask,
