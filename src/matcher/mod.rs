@@ -305,7 +305,8 @@ impl Matcher {
             with
         };
         // Followers that came in fits and starts take nothing from the rhythm before them.
-        let tried = [followers.len(), 8, 4, 2, 0].into_iter().filter(|count| *count <= followers.len());
+        let fewer = [8, 4, 2, 0].into_iter().filter(|count| *count < followers.len());
+        let tried = std::iter::once(followers.len()).chain(fewer);
         let found = tried.filter(|_| frame.complete).find_map(|count| {
             let with = with(count);
             let placed = with.place(first, table, period_ns)?;
@@ -317,7 +318,6 @@ impl Matcher {
             self.first_id.get_or_insert(frame.id);
             return Some(self.settle(frame, number, &with, &numbers, table));
         }
-        let with_all = with(if frame.complete { followers.len() } else { 0 });
         let told = (first..=0).all(|number| table.reported_ns(number).is_some());
         let silent = first.saturating_add(next);
         // Without a rhythm the silence before the train is the only witness.
@@ -347,8 +347,13 @@ impl Matcher {
         self.first_id.get_or_insert(frame.id);
         self.ids.take(frame.id);
         // The rhythm is over, and all of it is reported: what it does not tell now is not to be known any more.
-        let last = with_all.last().and_then(|last| last.arrived_ns).zip(table.latest_ns());
-        let all = last.is_some_and(|(ns, latest)| ns <= i128::from(latest) + i128::from(period_ns * 9 / 8));
+        let last = match followers.last().filter(|_| frame.complete) {
+            Some(last) => self.arrived_ns(last.host_ns, hsu),
+            None => with_this.last().and_then(|last| last.arrived_ns),
+        };
+        let all = last
+            .zip(table.latest_ns())
+            .is_some_and(|(ns, latest)| ns <= i128::from(latest) + i128::from(period_ns * 9 / 8));
         self.stage = match told && all && silent > 2 * warm_up {
             true => Stage::Lost(rejoin::Rejoin { before: None }),
             false => Stage::Beginning(with_this, Some(next)),

@@ -34,13 +34,13 @@ pub fn warm_up(seen: &[Seen], table: &Table) -> Vec<Frame> {
     let seen = &seen[..seen.len().min(FRAMES)];
     let stamped = seen.iter().filter(|seen| seen.camera_ns != 0).count() * 2 > seen.len();
     let least = if stamped { seen.len() } else { ENOUGH };
-    let mut first = (least..=seen.len()).rev().map(|count| heard(&seen[..count], stamped, table));
+    let triggers = table.begin(TRIGGERS);
+    let mut first = (least..=seen.len()).rev().map(|count| heard(&seen[..count], stamped, &triggers, table));
     first.find(|frames| !frames.is_empty()).unwrap_or_default()
 }
 
 /// Where the rhythm is heard in all of these.
-fn heard(seen: &[Seen], stamped: bool, table: &Table) -> Vec<Frame> {
-    let triggers = table.begin(TRIGGERS);
+fn heard(seen: &[Seen], stamped: bool, triggers: &[(i64, i128)], table: &Table) -> Vec<Frame> {
     // By the camera's own clock, or by arrivals, in the HSU's time but for a constant.
     let at = |seen: &Seen| match stamped {
         true => Some(i128::from(seen.camera_ns)).filter(|ns| *ns != 0),
@@ -48,10 +48,10 @@ fn heard(seen: &[Seen], stamped: bool, table: &Table) -> Vec<Frame> {
     };
     let mut fits: Vec<Fit> = Vec::new();
     for first in seen.iter().filter_map(at).take(TRIED) {
-        for (_, hsu_ns) in &triggers {
+        for (_, hsu_ns) in triggers {
             let way_ns = first - hsu_ns;
             if fits.iter().all(|fit| (fit.way_ns - way_ns).abs() > table.period_ns / 4) {
-                let frames = fitting(seen, &triggers, &at, way_ns, table.period_ns);
+                let frames = fitting(seen, triggers, &at, way_ns, table.period_ns);
                 // One that arrives late may fit a later trigger than its own: the count of ids tells.
                 let frames = if stamped { frames } else { counted_alike(&frames) };
                 fits.push(Fit { way_ns, frames });

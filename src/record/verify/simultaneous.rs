@@ -29,21 +29,20 @@ fn unnamed(recording: &RecordingReader, camera: &CameraId) -> TriggerRows {
     let own = || recording.events.iter().filter(|event| event.camera.as_ref() == Some(camera));
     let mut named = TriggerRows::default();
     own().filter_map(TriggerRow::of).for_each(|(row, _)| named.add(row));
-    // From each status to the next one, host clock.
-    let statuses: Vec<_> = own().filter(|event| event.kind == PTP_STATUS).collect();
-    let ends = statuses.iter().skip(1).map(|event| event.host_time_ns).chain([u64::MAX]);
-    let spans = statuses.iter().zip(ends).filter(|(event, _)| !ptp_keeps(&event.message));
-    let spans: Vec<_> = spans.map(|(event, end)| event.host_time_ns..end).collect();
+    // A status holds up to the next one, host clock.
+    let mut statuses: Vec<_> = own().filter(|event| event.kind == PTP_STATUS).collect();
+    statuses.sort_by_key(|event| event.host_time_ns);
+    let is_kept = |at: u64| {
+        let begun = statuses.partition_point(|event| event.host_time_ns <= at);
+        statuses[..begun].last().is_none_or(|event| ptp_keeps(&event.message))
+    };
     let mut found = TriggerRows::default();
-    if spans.is_empty() {
-        return found;
-    }
     let rows = || recording.triggers.iter();
     let host_minus_unit =
         rows().map(|(_, row)| i128::from(row.host_time_ns) - i128::from(row.hsu_time_ns)).min().unwrap_or(0);
     for (trigger, row) in rows() {
         let at = u64::try_from(i128::from(row.hsu_time_ns) + host_minus_unit).unwrap_or(0);
-        if spans.iter().any(|span| span.contains(&at)) && !named.covers(trigger.0) {
+        if !is_kept(at) && !named.covers(trigger.0) {
             found.add(TriggerRow::all(trigger.0, trigger.0));
         }
     }
