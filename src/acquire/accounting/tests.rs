@@ -9,6 +9,7 @@ use crate::host::frame_memory::Block;
 use crate::matcher::Start;
 use crate::record::{RecordError, TriggerRecord, Verdict};
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::Mutex;
 
 const PERIOD_NS: u64 = 8_333_333;
@@ -82,6 +83,29 @@ impl Desk {
         let (index, host_time_ns) = (TriggerIndex(trigger), HOST_NS + hsu_time_ns + 500_000);
         let record = TriggerRecord { index, hsu_time_ns, flags, host_time_ns };
         self.accounting.handle(RecorderCommand::Trigger(record));
+    }
+
+    /// Reports a trigger when it is fired, and those of `held` behind the last of them.
+    fn report_held(&mut self, trigger: u64, held: &Range<u64>) {
+        if trigger == held.end {
+            held.clone().for_each(|late| self.report(late, due(late)));
+        }
+        if !held.contains(&trigger) {
+            self.report(trigger, due(trigger));
+        }
+    }
+
+    /// Reports a trigger of the warm-up or of the session.
+    fn report_numbered(&mut self, number: i64, hsu_time_ns: u64) {
+        match u64::try_from(number) {
+            Ok(trigger) => self.report(trigger, hsu_time_ns),
+            Err(_) => self.accounting.handle(RecorderCommand::WarmUp {
+                number,
+                hsu_time_ns,
+                late: false,
+                host_time_ns: hsu_time_ns + HOST_NS,
+            }),
+        }
     }
 
     fn frame(&mut self, camera: usize, stream: u32, block: u64, exposed_ns: u64) {
@@ -196,15 +220,7 @@ fn a_camera_whose_place_is_not_known_behind_the_warm_up_is_named_once() {
         desk.closed.try_iter().filter_map(place).collect()
     };
     for number in -8..40i64 {
-        match u64::try_from(number) {
-            Ok(trigger) => desk.report(trigger, at(number)),
-            Err(_) => desk.accounting.handle(RecorderCommand::WarmUp {
-                number,
-                hsu_time_ns: at(number),
-                late: false,
-                host_time_ns: at(number) + HOST_NS,
-            }),
-        }
+        desk.report_numbered(number, at(number));
         desk.frame(0, 0, (number + 9) as u64, at(number));
         match number {
             ..=4 => assert_eq!(told(&desk), [], "{number}: it may come late"),
@@ -353,12 +369,7 @@ fn a_link_that_is_silent_for_seconds_costs_no_frame() {
             read(&mut desk, Some("c0"), due(trigger), (50_000, 50_000));
             read(&mut desk, Some("c1"), due(trigger), (50_000, 50_000));
         }
-        if trigger == held.end {
-            held.clone().for_each(|late| desk.report(late, due(late)));
-        }
-        if !held.contains(&trigger) {
-            desk.report(trigger, due(trigger));
-        }
+        desk.report_held(trigger, &held);
         (0..2).for_each(|camera| desk.frame(camera, 0, trigger + 1, due(trigger)));
         if held.contains(&trigger) {
             desk.last_call();
@@ -378,12 +389,7 @@ fn a_frame_that_comes_late_while_reports_are_held_up_costs_nothing() {
     let mut desk = Desk::new(2);
     let held = 40..70;
     for trigger in 0..90 {
-        if trigger == held.end {
-            held.clone().for_each(|late| desk.report(late, due(late)));
-        }
-        if !held.contains(&trigger) {
-            desk.report(trigger, due(trigger));
-        }
+        desk.report_held(trigger, &held);
         // Before the next trigger is due, so that nothing is expected behind it.
         let late_ns = if trigger == 50 { 7_000_000 } else { 0 };
         for camera in 0..2 {
@@ -409,12 +415,7 @@ fn two_cameras_that_ignored_as_many_triggers_are_not_believed() {
     let held = 40..70;
     let (ignored, lost) = ([43, 46], 44..47);
     for trigger in 0..90 {
-        if trigger == held.end {
-            held.clone().for_each(|late| desk.report(late, due(late)));
-        }
-        if !held.contains(&trigger) {
-            desk.report(trigger, due(trigger));
-        }
+        desk.report_held(trigger, &held);
         for camera in 0..4 {
             let missed = ignored.get(camera).is_some_and(|ignored| trigger > *ignored);
             let arrives_ns = due(trigger) + 500_000;
@@ -436,7 +437,7 @@ fn two_cameras_that_ignored_as_many_triggers_are_not_believed() {
         assert!(outcome.is_err() || outcome == Ok(right), "camera {camera}, trigger {trigger}: {outcome:?}");
         kept += usize::from(outcome.is_ok());
     }
-    assert!(kept >= 4 * 50, "{kept}");
+    assert!(kept >= 280, "{kept}");
 }
 
 /// A camera without timestamps is placed by the rhythm of its warm-up. The reports of that come late, when frames behind it
@@ -449,22 +450,13 @@ fn a_host_that_is_busy_behind_the_warm_up_hides_no_rhythm() {
         let pauses = [-6, -3, -2].iter().filter(|pause| number >= **pause).count() as i64;
         (2_000_000_000 + number * PERIOD_NS as i64 + pauses * half) as u64
     };
-    let report = |desk: &mut Desk, number: i64| match u64::try_from(number) {
-        Ok(trigger) => desk.report(trigger, at(number)),
-        Err(_) => desk.accounting.handle(RecorderCommand::WarmUp {
-            number,
-            hsu_time_ns: at(number),
-            late: false,
-            host_time_ns: at(number) + HOST_NS,
-        }),
-    };
     for number in -8..60 {
         let late_ns = if (0..9).contains(&number) && number % 2 == 1 { 3_000_000 } else { 0 };
         desk.frame_stamped((0, 0), (number + 9) as u64, 0, at(number) + 500_000 + late_ns);
         match number {
             ..6 => {}
-            6 => (-8..=6).for_each(|number| report(&mut desk, number)),
-            _ => report(&mut desk, number),
+            6 => (-8..=6).for_each(|number| desk.report_numbered(number, at(number))),
+            _ => desk.report_numbered(number, at(number)),
         }
     }
     let outcomes = desk.outcomes();
@@ -472,7 +464,7 @@ fn a_host_that_is_busy_behind_the_warm_up_hides_no_rhythm() {
     // While the host is busy frames of such a camera are given up, and not for the rest of the session.
     let given_up = outcomes.values().filter(|outcome| **outcome == Err(GapCause::IdentityMismatch)).count();
     let kept = outcomes.iter().filter(|((trigger, _), outcome)| **outcome == Ok(trigger + 9)).count();
-    assert!(given_up + kept == 60 && given_up <= 16, "{outcomes:?}");
+    assert!(given_up + kept == 60 && given_up <= 13, "{outcomes:?}");
     assert_eq!(outcomes[&(0, 0)], Ok(9));
 }
 
