@@ -80,6 +80,9 @@ impl Work<'_> {
     /// Before SFNC one model of triggers stood beside another, and which of them is chosen says which triggers there are.
     fn choose_triggers(&self) -> Result<(), CameraError> {
         const MODEL: &str = "TriggerControlImplementation";
+        if self.wishes.left_to_settings("trigger_line") {
+            return Ok(());
+        }
         if let Some(model) = self.camera.feature(MODEL).filter(Feature::is_writable)
             && let Some(standard) = model.entry(&["Standard"])
         {

@@ -50,7 +50,8 @@ pub fn take_plane(memory: &mut [u8], (width, height): (usize, usize), (column, r
 /// The upper 8 bits of each value; gives all bits that are set in values of two bytes.
 fn narrow(pixel: Pixel, read: &[u8], image: &mut [u8]) -> u16 {
     match pixel {
-        Pixel::Mono8 | Pixel::Bayer8(_) => image.copy_from_slice(read),
+        // A byte each already.
+        Pixel::Mono8 | Pixel::Bayer8(_) => {}
         // Four values, each beginning where the one before ends, the lowest bit first.
         Pixel::Mono10p => {
             for (to, from) in image.chunks_exact_mut(4).zip(read.chunks_exact(5)) {

@@ -70,17 +70,6 @@ impl Mosaic {
 }
 
 impl Pixel {
-    /// Those that a node file can name: grey, and a plane of colour.
-    pub const WORDS: [Self; 10] = {
-        let mut words = [Self::Bayer8(Mosaic::RG); 10];
-        let mut place = 0;
-        while place < Self::GREY.len() {
-            words[place] = Self::GREY[place];
-            place += 1;
-        }
-        words
-    };
-
     /// Those of grey, in the order in which a camera's is chosen: 8 bits, then by bytes, then by depth.
     pub const GREY: [Self; 9] = [
         Self::Mono8,

@@ -3,7 +3,7 @@
 //! (`[acquisition]`) and of one (`[[camera]]`).
 
 use super::node::{FeatureSetting, FeatureValue};
-use super::pixel::Pixel;
+use super::pixel::{Mosaic, Pixel};
 use super::section::Section;
 use serde::{Deserialize, Serialize};
 
@@ -79,6 +79,8 @@ impl CameraWords {
     /// Reads the words of a section.
     pub(super) fn read(section: &Section<'_>) -> Self {
         const EDGES: [(&str, Edge); 2] = [("rising", Edge::Rising), ("falling", Edge::Falling)];
+        let pixels = Pixel::GREY.into_iter().chain([Pixel::Bayer8(Mosaic::default())]);
+        let pixels: Vec<(&str, Pixel)> = pixels.map(|pixel| (pixel.word(), pixel)).collect();
         // Asked for, and so known, whether it is there or not.
         let said = |key| section.value(key).is_some();
         let number = |key, range| said(key).then(|| section.number(key, range));
@@ -89,8 +91,7 @@ impl CameraWords {
             exposure_us: number("exposure_us", 0.1..=10_000_000.0),
             exposure_tolerance_us: number("exposure_tolerance_us", 0.0..=1_000_000.0),
             gain_db: number("gain_db", 0.0..=100.0),
-            pixel: said("pixel")
-                .then(|| section.choice("pixel", &Pixel::WORDS.map(|pixel| (pixel.word(), pixel)))),
+            pixel: said("pixel").then(|| section.choice("pixel", &pixels)),
             width: whole("width"),
             height: whole("height"),
             overlap: said("overlap").then(|| section.flag_or("overlap", true)),

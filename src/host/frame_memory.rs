@@ -189,7 +189,7 @@ impl Pool {
 
 /// Bytes that a block takes of the memory, for so many that are received: whole pages, so that all pixels start on one.
 pub fn block_bytes(received_bytes: usize) -> usize {
-    (ROOM_BYTES + received_bytes).next_multiple_of(ROOM_BYTES)
+    Sizes::new(received_bytes, received_bytes).in_memory()
 }
 
 /// How long a block is, its room counted in.

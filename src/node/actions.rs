@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whether the cameras can be triggered by action commands now: their clocks are one, and each answers.
+//! Action commands in a session: whether the cameras can be triggered by them now, because their clocks are one and each
+//! answers; and in the end, what became of them.
 
 use super::camera_keeper::{clock_readings, exchange};
 use super::devices::Devices;

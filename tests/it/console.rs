@@ -16,7 +16,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// One photograph for ever.
-struct Still(Plane<u8>);
+pub struct Still(pub Plane<u8>);
 
 impl ImageSource for Still {
     fn size(&self) -> (usize, usize) {

@@ -2,6 +2,7 @@
 //! Cameras that send grey deeper than 8 bits, in every packing, or a mosaic of colours, beside ones that send 8 bits: what
 //! is recorded of each is the picture, and the recording names what the camera sent.
 
+use crate::console::Still;
 use crate::lab::{
     SIZE, assert_contains, fourdbody, laboratory, options, say, small_rig, start, start_laboratory,
     start_nodes, text_of,
@@ -9,7 +10,6 @@ use crate::lab::{
 use crate::reused::{Place, json, light, points_of, reconstruct};
 use crate::session_faults::check_frames;
 use fourdbody::base::ids::TriggerIndex;
-use fourdbody::base::image::Plane;
 use fourdbody::config::SocketMode;
 use fourdbody::data::FrameSource;
 use fourdbody::record::{GapCause, SessionReader};
@@ -150,19 +150,6 @@ fn the_plane_of_the_heads_colour_is_recorded_at_half_the_size() {
         "of its BayerRG8 of 640 x 400 the plane of the head's colour is recorded, 320 x 200: pixel (u, v) of frames and \
          calibration is pixel (2u + 1, 2v + 1) of the camera"
     )));
-}
-
-/// A light that stays.
-struct Still(Plane<u8>);
-
-impl ImageSource for Still {
-    fn size(&self) -> (usize, usize) {
-        (self.0.width(), self.0.height())
-    }
-
-    fn pixels(&self, _: i64) -> &[u8] {
-        self.0.as_slice()
-    }
 }
 
 /// One head photographs a ball, with 8 bits and with 12: the clouds are the same to the last byte.

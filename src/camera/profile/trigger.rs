@@ -267,7 +267,7 @@ fn edge(camera: &dyn Description, wishes: &Wishes, told: &mut Vec<String>) -> Re
             Some(entry) => Ok(Some(Write::entry(name, entry, WORD))),
             None if said.is_none() && feature.entries == ["None"] => {
                 told.push(format!(
-                    "{name} has None alone: at which edge the camera exposes is its own affair"
+                    "{name} has None alone: the camera's manual says at which edge it exposes, expected the rising one"
                 ));
                 Ok(None)
             }
