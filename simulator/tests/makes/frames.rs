@@ -234,7 +234,9 @@ fn offsets_and_wide_pixels_are_in_the_frame() {
     bench.pulses(1, PERIOD, WIDTH_OF_PULSE);
     let frame = bench.frame().expect("a frame");
     assert_eq!((frame.format, frame.width, frame.bytes.len()), (0x010c_0047, 32, 48 * HEIGHT));
-    assert_eq!(frame.bytes[0], bench.light(0)[16]);
+    // Two pixels in three bytes, the lowest bit first; the light is in the upper 8 of 12 bits.
+    let upper = [frame.bytes[1] << 4 | frame.bytes[0] >> 4, frame.bytes[2]];
+    assert_eq!(upper, bench.light(0)[16..18]);
 }
 
 #[test]
