@@ -211,3 +211,14 @@ impl Anchoring {
         self.frames.iter().filter(|frame| frame.camera_ns.is_some()).count() * 2 > self.frames.len()
     }
 }
+
+/// How many triggers each id stands for, where that is more than one for all of these frames: count of ids, and trigger.
+pub fn pace_of(frames: impl Iterator<Item = (i64, i64)>) -> Option<i64> {
+    let frames: Vec<(i64, i64)> = frames.collect();
+    let steps =
+        frames.windows(2).map(|two| (two[1].0.saturating_sub(two[0].0), two[1].1.saturating_sub(two[0].1)));
+    let (ids, triggers) = steps.clone().next()?;
+    let pace = triggers.checked_div(ids).filter(|pace| *pace > 1)?;
+    let mut holds = steps.map(|(ids, triggers)| ids.checked_mul(pace) == Some(triggers));
+    (holds.len() >= ENOUGH - 1 && holds.all(|holds| holds)).then_some(pace)
+}

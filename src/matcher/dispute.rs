@@ -246,14 +246,15 @@ impl Matcher {
 
     /// Counter and clock name different triggers, or the clock names none.
     fn disputed(&mut self, case: &Case<'_>, own: &Claim<'_>, behind: &[Claim<'_>]) -> Match {
-        // One that takes every second trigger does so again.
+        // One that takes every second trigger does so again, and a busy host says nothing against it.
         let again = |(last, number): (super::Last, i64)| self.pace == Some(number - last.number);
         if let Some(number) = own.by_clock
             && self.last.zip(own.by_clock).is_some_and(again)
             && case.table.is_reported(number)
         {
             let timing = self.timing(case, own.frame, number);
-            if matches!(timing, Timing::InTime | Timing::Slow) || (timing == Timing::Late && case.last_call) {
+            let in_time = matches!(timing, Timing::InTime | Timing::Slow);
+            if in_time || (timing != Timing::Early && case.last_call) {
                 let pace = self.pace;
                 let answer = self.accept(case, number, None);
                 self.pace = pace;

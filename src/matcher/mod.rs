@@ -397,7 +397,12 @@ impl Matcher {
             }
         }
         self.clock.ask();
-        Match::Trigger(self.place(frame, number, None))
+        let counted =
+            anchoring.frames().iter().zip(numbers).filter_map(|(early, of)| Some((early.count, (*of)?)));
+        let pace = anchor::pace_of(counted);
+        let matched = self.place(frame, number, None);
+        self.pace = pace;
+        Match::Trigger(matched)
     }
 
     /// A frame that arrived whole, of a stream whose ids count from a known trigger.

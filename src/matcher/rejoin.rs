@@ -6,6 +6,7 @@
 //! measured when the train began; of a clock that cannot be read, its relation from before must do. The arrivals of this
 //! frame and of those behind it must say the same. One of the two alone is not enough.
 
+use super::anchor::pace_of;
 use super::clock_relation::Tracker;
 use super::dispute::{IN_TIME, Timing};
 use super::sighting::{Match, Sighting};
@@ -69,8 +70,13 @@ impl Matcher {
         if !enough || self.timing(case, case.frame, named.number) != Timing::InTime {
             return if more { Match::Wait } else { self.give_up(case.frame) };
         }
+        let ids = |frame: &Sighting| self.ids.between(case.frame.id.0, frame.id.0);
+        let behind = behind().map(|(frame, number, _)| (ids(frame), number));
+        let pace = pace_of(std::iter::once((0, named.number)).chain(behind));
         self.tracker = before.filter(|_| named.unchanged);
-        self.accept(case, named.number, None)
+        let answer = self.accept(case, named.number, None);
+        self.pace = pace;
+        answer
     }
 
     /// Whether the frame before arrived as the ids say; this one is the next one's.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Single cases by name.
 
-use super::history::{Arrives, HOST_MINUS_HSU_NS, History, Traits};
+use super::history::{Arrives, HOST_MINUS_HSU_NS, History, Random, Traits};
 use super::{Outcome, play, play_like, play_whole};
 use crate::base::clock_fit::ClockFit;
 use crate::base::ids::BlockId;
@@ -150,7 +150,10 @@ fn the_first_triggers_may_be_ignored() {
 
 /// A camera of the usual habits that takes only some triggers, its ids counting what it takes.
 fn takes(seed: u64, takes: impl Fn(i64) -> bool) -> (Outcome, Vec<String>) {
-    let mut history = History::of(seed, habits(10, 80));
+    takes_on(History::of(seed, habits(10, 80)), seed, takes)
+}
+
+fn takes_on(mut history: History, seed: u64, takes: impl Fn(i64) -> bool) -> (Outcome, Vec<String>) {
     let others = (seed + 1000..).map(|seed| History::of(seed, habits(10, 80)));
     let alike = others.into_iter().find(|other| other.period_ns == history.period_ns);
     let (.., like) = play_whole(&alike.expect("one of this rate"), None);
@@ -182,6 +185,36 @@ fn a_camera_that_takes_every_second_or_third_trigger_keeps_its_frames() {
             );
         }
     }
+}
+
+/// Half of the frames are taken up late, so that arrivals tell no trigger from the next: that it takes every second one is
+/// known from the warm-up, or from the frames that show its place, and goes on.
+#[test]
+fn a_busy_host_costs_a_camera_that_takes_every_second_trigger_few_frames() {
+    let mut all = Outcome::default();
+    for seed in 0..40 {
+        let mut history = History::of(seed, habits(10, 80));
+        let mut random = Random::new(seed);
+        let mut before = 0;
+        for (at_ns, what) in &mut history.arrivals {
+            if let Arrives::Frame(frame, Some(_)) = what {
+                let tenths = match random.below(10) {
+                    0..=4 => 0,
+                    5..=8 => random.below(10),
+                    _ => random.below(25),
+                };
+                // In order, as they come from the socket.
+                let late = (*at_ns + tenths * PERIOD_NS / 10).max(before) - *at_ns;
+                (*at_ns, frame.host_ns) = (*at_ns + late, frame.host_ns + late);
+                before = *at_ns;
+            }
+        }
+        history.arrivals.sort_by_key(|(at_ns, _)| *at_ns);
+        let (outcome, log) = takes_on(history, seed, |number| number.rem_euclid(2) == 0);
+        assert_eq!(outcome.wrong, 0, "{seed}\n{}", log.join("\n"));
+        all.add(outcome);
+    }
+    assert!(all.given_up * 50 <= all.frames, "more than a fiftieth given up: {all:?}");
 }
 
 /// Trigger 0 missed, after a warm-up that went well.
