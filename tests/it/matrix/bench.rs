@@ -122,6 +122,18 @@ impl Bench {
         self.ask(&question)
     }
 
+    /// The same of what is not left to the camera's own settings.
+    pub fn judge_beside(
+        &mut self,
+        described: &Described,
+        line: Option<&str>,
+        left: &[String],
+    ) -> Result<Judged, String> {
+        let mut question = question(described, line, None);
+        question["asked"]["left"] = json!(left);
+        self.ask(&question)
+    }
+
     /// The same after somebody has left it so.
     pub fn judge_after(
         &mut self,

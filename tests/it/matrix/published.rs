@@ -8,7 +8,7 @@ use super::bench::{Bench, Judged, Prepared, python};
 use super::{CAMERAS, EXPOSURE_US, End, RATE_HZ, SIZE, TRIGGERS};
 use super::{figures, in_doubt, is_helpful, judge, wishes, write_summary};
 use crate::lab::{fourdbody, options, rig_of, say, start, start_nodes, text_of};
-use fourdbody::camera::{AravisCameras, CameraBackend, CameraError};
+use fourdbody::camera::{AravisCameras, CameraBackend, CameraError, Wishes};
 use fourdbody::data::FrameSource;
 use fourdbody::record::SessionReader;
 use fourdbody_simulator::gige::described::Word;
@@ -26,6 +26,9 @@ use std::sync::Arc;
 
 /// The state of a camera that nobody has used.
 const NEW: &str = "new";
+
+/// A new one again, with what its refusal says is to be left to the camera's own settings.
+const AS_ADVISED: &str = "new, as its refusal advises";
 
 /// What became of one description in one state.
 struct Case {
@@ -83,12 +86,7 @@ enum Step {
 }
 
 /// Does it over the network; else why that cannot be, in the node's own words.
-fn do_alone(
-    what: Step,
-    described: &Arc<Described>,
-    address: Ipv4Addr,
-    line: Option<&str>,
-) -> Result<(), End> {
+fn do_alone(what: Step, described: &Arc<Described>, address: Ipv4Addr, wishes: &Wishes) -> Result<(), End> {
     let images = Arc::new(TestImages::new(SIZE.0, SIZE.1, 1, 8));
     let mut camera = CameraOptions::new("PUBLISHED", address, images as Arc<dyn ImageSource>);
     camera.described = Some(Arc::clone(described));
@@ -96,7 +94,7 @@ fn do_alone(
     let done = catch_unwind(|| {
         let mut opened = AravisCameras.open(&address.to_string())?;
         match what {
-            Step::SetUp => opened.set_up(&wishes(line)).map(drop),
+            Step::SetUp => opened.set_up(wishes).map(drop),
             Step::ReadState => opened.state().map(drop),
         }
     });
@@ -121,7 +119,7 @@ fn run_state(
     let (memory, delivered) = state;
     described.set(prepared.facts.clone(), memory.to_vec(), delivered.map(<[Word]>::to_vec));
     let line = prepared.line.as_deref();
-    match do_alone(Step::SetUp, described, address, line) {
+    match do_alone(Step::SetUp, described, address, &wishes(line)) {
         Err(end) => (end, false),
         Ok(()) => match bench.judge(described, line, None) {
             Ok(judged) if judged.wrong.is_empty() => {
@@ -131,6 +129,38 @@ fn run_state(
             Ok(judged) => (End::SilentlyWrong(judged.wrong.join("; ")), true),
             Err(error) => (End::Unclear(error), false),
         },
+    }
+}
+
+/// The words that a refusal leaves to the camera's own settings; `None` where it has another remedy beside.
+fn advised(refusal: &str) -> Option<Vec<String>> {
+    let word = |line: &str| {
+        let (_, behind) = line.split_once("left_to_settings = [\"")?;
+        Some(behind.split_once('"')?.0.to_owned())
+    };
+    refusal.lines().map(word).collect()
+}
+
+/// Sets up a new camera once more, as a refusal advises; the settings that it leaves to the camera are not made.
+fn run_advised(
+    bench: &mut Bench,
+    described: &Arc<Described>,
+    prepared: &Prepared,
+    left: Vec<String>,
+    address: Ipv4Addr,
+) -> (End, bool) {
+    let new = &prepared.memory;
+    described.set(prepared.facts.clone(), new.clone(), Some(new.clone()));
+    let line = prepared.line.as_deref();
+    let mut wishes = wishes(line);
+    wishes.words.left_to_settings = left;
+    if let Err(end) = do_alone(Step::SetUp, described, address, &wishes) {
+        return (end, false);
+    }
+    match bench.judge_beside(described, line, &wishes.words.left_to_settings) {
+        Ok(judged) if judged.wrong.is_empty() => (End::Right, true),
+        Ok(judged) => (End::SilentlyWrong(judged.wrong.join("; ")), true),
+        Err(error) => (End::Unclear(error), false),
     }
 }
 
@@ -186,13 +216,20 @@ fn run_description(python: &Path, file: &Path, number: u8, cases: &mut Vec<Case>
             }
         }
         if state == NEW {
-            let end = match do_alone(Step::ReadState, &described, address, None) {
+            let end = match do_alone(Step::ReadState, &described, address, &wishes(None)) {
                 Ok(()) => End::Right,
                 Err(end) => end,
             };
             // One that cannot be read cannot record.
             is_ready &= end == End::Right;
             note(cases, &description, "all its state", &make, (end, false));
+        }
+        if state == NEW
+            && let End::Refused(refusal) = &end
+            && let Some(left) = advised(refusal)
+        {
+            let end = run_advised(&mut bench, &described, &prepared, left, address);
+            note(cases, &description, AS_ADVISED, &make, end);
         }
         note(cases, &description, state, &make, (end, judged));
     }
@@ -233,7 +270,7 @@ fn record(group: &mut [Ready], subnet: u8) -> Vec<(End, bool)> {
         let Ready { bench, described, prepared, .. } = ready;
         let (new, line) = (&prepared.memory, prepared.line.as_deref());
         described.set(prepared.facts.clone(), new.clone(), Some(new.clone()));
-        do_alone(Step::SetUp, described, Ipv4Addr::new(127, 0, 219, number), line)
+        do_alone(Step::SetUp, described, Ipv4Addr::new(127, 0, 219, number), &wishes(line))
             .map_err(|end| format!("{end:?}"))
             .expect("as it could be before");
         let judged = bench.judge(described, line, None).expect("as it could be before");
