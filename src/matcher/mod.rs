@@ -532,10 +532,12 @@ impl Matcher {
         let skipped = self.last.map_or(number.max(0), |last| (number - last.number - 1).max(0)) as u64;
         let (mut lost, mut ignored, mut finding) = (skipped, 0, finding);
         if let Some(first) = self.first_id.filter(|_| self.last.is_none()) {
-            // What the stream's ids do not count before its first frame that has a trigger, the camera ignored.
+            // What the stream's ids do not count before its first frame that has a trigger, the camera ignored; not what came
+            // and was given up.
             let before = number.saturating_add(self.start.warm_up.into());
             let uncounted = before.saturating_sub(self.ids.between(first.0, frame.id.0));
-            ignored = skipped.min(u64::try_from(uncounted).unwrap_or(0));
+            let without_frame = skipped.saturating_sub(self.given_up.into());
+            ignored = without_frame.min(u64::try_from(uncounted).unwrap_or(0));
             lost = skipped - ignored;
         }
         if let Some(step) = step {
