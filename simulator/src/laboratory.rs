@@ -12,12 +12,12 @@ use crate::images::ImageSource;
 use crossbeam_channel::unbounded;
 use fourdbody::base::ids::{CameraId, NodeId};
 use fourdbody::config::{Rig, SocketMode};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::io;
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// What to set up.
@@ -339,9 +339,15 @@ fn write_node_files(options: &LaboratoryOptions, rig: &Rig) -> Result<Vec<NodeFi
     Ok(files)
 }
 
-/// A port that was free a moment ago.
+/// A port that was free a moment ago, and that no other laboratory of this process was given.
 fn free_port() -> io::Result<u16> {
-    Ok(std::net::TcpListener::bind("127.0.0.1:0")?.local_addr()?.port())
+    static GIVEN: Mutex<BTreeSet<u16>> = Mutex::new(BTreeSet::new());
+    loop {
+        let port = std::net::TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
+        if GIVEN.lock().unwrap_or_else(PoisonError::into_inner).insert(port) {
+            return Ok(port);
+        }
+    }
 }
 
 fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[NodeFile]) -> String {
