@@ -143,7 +143,7 @@ def judge(camera, asked):
         say("AcquisitionMode", mode, "Continuous")
     # Grey that is deeper than 8 bits is taken where there is no other.
     deeper = "Mono8" not in camera.entries("PixelFormat") and str(pixels).startswith("Mono1")
-    if pixels is not None and plain(pixels) != "mono8" and not deeper:
+    if "pixel" not in left and pixels is not None and plain(pixels) != "mono8" and not deeper:
         say("PixelFormat", pixels, "Mono8")
     for name, expected in (("Width", asked["size"][0]), ("Height", asked["size"][1])):
         if camera.get(name) is not None and camera.get(name) != expected:

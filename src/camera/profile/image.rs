@@ -57,9 +57,13 @@ fn pixel_format(camera: &dyn Description, wishes: &Wishes) -> Result<((String, P
             Pixel::GREY.into_iter().find(|pixel| fits(pixel) && entry(*pixel).is_some()).unwrap_or_default()
         }
     };
+    let has_mosaic = entry(Pixel::Bayer8(Mosaic::default())).is_some();
     let Some(entry) = entry(chosen).map(str::to_owned) else {
         let remedy = match wishes.words.pixel {
             Some(_) => "name one that it has (pixel), or none",
+            None if has_mosaic => {
+                "a session records grey alone: say pixel = \"bayer8\" to take the plane of the head's colour, at half the size"
+            }
             None => "a session records grey alone: use a camera that sends it",
         };
         return Err(Trouble::no_entry(NAME, chosen.name(), &feature, remedy));

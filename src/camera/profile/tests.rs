@@ -346,6 +346,9 @@ fn images_that_are_not_grey_or_do_not_fit_are_refused_by_name() {
     }
     let text = trouble(&usual(&[("PixelFormat", "PixelFormat=BayerRG8,RGB8")]), &wishes());
     assert!(text.starts_with("`Mono8` is not an entry of PixelFormat: BayerRG8, RGB8"), "{text}");
+    assert!(text.contains("say pixel = \"bayer8\""), "{text}");
+    let text = trouble(&usual(&[("PixelFormat", "PixelFormat=YUV422,RGB8")]), &wishes());
+    assert!(text.contains("use a camera that sends it"), "{text}");
     let old =
         usual(&[("PixelFormat", "PixelFormat=Mono8,Mono16!ro PixelCoding=Mono,Raw PixelSize=Bpp8,Bpp16")]);
     assert!(short(&resolve(&old, &wishes())).starts_with("PixelCoding=Mono PixelSize=Bpp8"));

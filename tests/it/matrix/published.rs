@@ -9,6 +9,7 @@ use super::{CAMERAS, EXPOSURE_US, End, RATE_HZ, SIZE, TRIGGERS};
 use super::{figures, in_doubt, is_helpful, judge, wishes, write_summary};
 use crate::lab::{fourdbody, options, rig_of, say, start, start_nodes, text_of};
 use fourdbody::camera::{AravisCameras, CameraBackend, CameraError, Wishes};
+use fourdbody::config::{Mosaic, Pixel};
 use fourdbody::data::FrameSource;
 use fourdbody::record::SessionReader;
 use fourdbody_simulator::gige::described::Word;
@@ -132,9 +133,15 @@ fn run_state(
     }
 }
 
-/// The words that a refusal leaves to the camera's own settings; `None` where it has another remedy beside.
+/// The word for a plane of colour, which is said and not left.
+const PIXEL: &str = "pixel";
+
+/// The words that a refusal leaves to the camera's own settings, or has said; `None` where it has another remedy beside.
 fn advised(refusal: &str) -> Option<Vec<String>> {
     let word = |line: &str| {
+        if line.contains("pixel = \"bayer8\"") {
+            return Some(PIXEL.to_owned());
+        }
         let (_, behind) = line.split_once("left_to_settings = [\"")?;
         Some(behind.split_once('"')?.0.to_owned())
     };
@@ -153,11 +160,15 @@ fn run_advised(
     described.set(prepared.facts.clone(), new.clone(), Some(new.clone()));
     let line = prepared.line.as_deref();
     let mut wishes = wishes(line);
-    wishes.words.left_to_settings = left;
+    if left.iter().any(|word| word == PIXEL) {
+        wishes.words.pixel = Some(Pixel::Bayer8(Mosaic::default()));
+        wishes.size = (SIZE.0 / 2, SIZE.1 / 2);
+    }
+    wishes.words.left_to_settings = left.iter().filter(|word| *word != PIXEL).cloned().collect();
     if let Err(end) = do_alone(Step::SetUp, described, address, &wishes) {
         return (end, false);
     }
-    match bench.judge_beside(described, line, &wishes.words.left_to_settings) {
+    match bench.judge_beside(described, line, &left) {
         Ok(judged) if judged.wrong.is_empty() => (End::Right, true),
         Ok(judged) => (End::SilentlyWrong(judged.wrong.join("; ")), true),
         Err(error) => (End::Unclear(error), false),
