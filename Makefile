@@ -59,7 +59,7 @@ test: test-packages
 
 check: packages
 	$(CARGO) fmt --all -- --check
-	$(CARGO) test -p fourdbody --lib
+	$(CARGO) test --workspace --lib
 	$(CARGO) check --workspace --all-targets
 
 lint: packages

@@ -18,7 +18,7 @@ from summarize_poses import Sum, machine
 
 ROOT = Path(__file__).resolve().parent.parent
 WHERE = ROOT / "target/half_and_twice"
-SOURCES = "src/reconstruct/fringe_order"
+SOURCES = "crates/reconstruct/src/fringe_order"
 
 # Name in docs/design/fringe-order.md: file, and what stands before its numbers (all of these are changed together).
 CONSTANTS = {

@@ -62,7 +62,7 @@ class Sum:
             ]
 
 
-# `USABLE_DN` of src/validate/light.rs.
+# `USABLE_DN` of crates/calibrate/src/validate/light.rs.
 USABLE_DN = 4.0
 
 

@@ -300,7 +300,7 @@ def git(*words):
 def same_algorithm(commit):
     """Whether the same frames give the same points as in a commit (`ALGORITHM`); no where git does not know it."""
     at, now = (
-        git("grep", "-hE", "pub const ALGORITHM: u32", of, "--", "src", ":!src/reconstruct/paper").stdout
+        git("grep", "-hE", "pub const ALGORITHM: u32", of, "--", "src", "crates", ":!*/paper").stdout
         for of in (commit, "HEAD")
     )
     return at == now != ""
@@ -308,7 +308,7 @@ def same_algorithm(commit):
 
 def same_recording(commit):
     """Whether the way of a frame to the disk is that of a commit."""
-    folders = ["src/acquire", "src/camera", "src/host", "src/matcher", "src/record"]
+    folders = ["crates/devices/src/acquire", "crates/devices/src/camera", "crates/record/src"]
     return git("diff", "--quiet", commit, "HEAD", "--", *folders).returncode == 0
 
 

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 /// Make frame sets of a result as they are asked for: a trigger a line comes in, packed points go out.
 ///
-/// A node starts it for its console; `src/play/process.rs` has the bytes.
+/// A node starts it for its console; `crates/node/src/play/process.rs` has the bytes.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  echo 0 | fourdbody frame-sets --rate-hz 120 --points 40000 results/walk-01 | wc --bytes"

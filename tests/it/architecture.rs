@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The tower and the invariants of absence (`ARCHITECTURE.md`), read from the sources: who may name whom.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 fn root() -> PathBuf {
@@ -29,19 +30,55 @@ fn files(dir: &Path, ends: &[&str]) -> Vec<PathBuf> {
     found
 }
 
-/// The files of the product with their path below `src` and their code: no comments, no white space.
+/// The crates of the product by name, each with its sources; the program's is named "".
+fn crates() -> Vec<(String, PathBuf)> {
+    let entries = std::fs::read_dir(root().join("crates")).expect("the library crates");
+    let library = entries.map(|entry| {
+        let path = entry.expect("an entry").path();
+        (path.file_name().expect("a name").to_string_lossy().into_owned(), path.join("src"))
+    });
+    library.chain([(String::new(), root().join("src"))]).collect()
+}
+
+/// A path below a crate's sources as `crate/path`; below the program's as it is.
+fn place(krate: &str, path: &str) -> String {
+    [krate, path].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("/")
+}
+
+/// The files of the product with their place and their code: no comments, no white space.
 fn sources() -> Vec<(String, String)> {
-    let src = root().join("src");
-    let code = |path: &PathBuf| {
-        let text = std::fs::read_to_string(path).expect("a source file");
-        let lines = text.lines().filter(|line| !line.trim_start().starts_with("//"));
-        let code = lines.map(|line| format!("{line} ")).collect::<String>();
-        let place = path.strip_prefix(&src).expect("below src").display().to_string();
-        (place, code)
-    };
-    let sources: Vec<_> = rust_files(&src).iter().map(code).collect();
+    let mut sources = Vec::new();
+    for (krate, src) in crates() {
+        for path in rust_files(&src) {
+            let text = std::fs::read_to_string(&path).expect("a source file");
+            let lines = text.lines().filter(|line| !line.trim_start().starts_with("//"));
+            let code = lines.map(|line| format!("{line} ")).collect::<String>();
+            let below = path.strip_prefix(&src).expect("below its crate's sources").display().to_string();
+            sources.push((place(&krate, &below), code));
+        }
+    }
     assert!(sources.len() > 50, "{} files are not the product", sources.len());
     sources
+}
+
+/// What a crate's root calls by a name of its own: modules of other crates, with their places.
+fn aliases(krate: &str) -> BTreeMap<String, String> {
+    let (_, src) = crates().into_iter().find(|(name, _)| name == krate).expect("a crate");
+    let text = std::fs::read_to_string(src.join("lib.rs")).expect("its root");
+    let mut aliases = BTreeMap::new();
+    for line in text.split(';').filter_map(|line| line.split_once("use fourdbody_")).map(|(_, rest)| rest) {
+        let (of, names) = match line.split_once("::") {
+            Some((of, names)) => (of, names.trim_matches(['{', '}']).to_owned()),
+            None => (line.split_whitespace().next().unwrap_or_default(), line.replacen(' ', " self ", 1)),
+        };
+        for name in names.split(',').map(str::trim) {
+            match name.rsplit_once(" as ") {
+                Some((_, alias)) => aliases.insert(alias.to_owned(), of.to_owned()),
+                None => aliases.insert(name.to_owned(), place(of, name)),
+            };
+        }
+    }
+    aliases
 }
 
 /// The words of a piece of code, with `::`, `{`, `}` and `,` as words of their own.
@@ -131,7 +168,7 @@ fn tree(words: &[&str], mut i: usize, start: &[&str], named: &mut Vec<String>) -
     }
 }
 
-/// The floors of `ARCHITECTURE.md`, from the ground up: folders and files of `src`.
+/// The floors of `ARCHITECTURE.md`, from the ground up: places of folders and files.
 fn floors() -> Vec<String> {
     let text = std::fs::read_to_string(root().join("ARCHITECTURE.md")).expect("ARCHITECTURE.md");
     let (_, after) = text.split_once("## The tower").expect("a section of that name");
@@ -152,21 +189,27 @@ fn floor_of(floors: &[String], path: &str) -> Option<usize> {
 }
 
 /// Arrows that run up from a file: what it names of floors that stand after its own.
-fn arrows_up(floors: &[String], place: &str, code: &str) -> Vec<String> {
-    let module = place.trim_end_matches(".rs").trim_end_matches("/mod");
+fn arrows_up(floors: &[String], of: &str, code: &str) -> Vec<String> {
+    let module = of.trim_end_matches(".rs").trim_end_matches("/mod");
     let Some(own) = floor_of(floors, module) else {
-        return vec![format!("src/{place} stands on no floor of ARCHITECTURE.md")];
+        return vec![format!("{of} stands on no floor of ARCHITECTURE.md")];
     };
-    let here: Vec<&str> = module.split('/').collect();
-    let named = paths_named(code, &here);
+    let first = module.split('/').next().unwrap_or_default();
+    let krate = if root().join("crates").join(first).is_dir() { first } else { "" };
+    let here: Vec<&str> = module.split('/').skip(usize::from(!krate.is_empty())).collect();
+    let aliases = aliases(krate);
+    let there = |path: String| {
+        let (name, rest) = path.split_once('/').unwrap_or((&path, ""));
+        match aliases.get(name) {
+            Some(other) => place(other, rest),
+            None => place(krate, &path),
+        }
+    };
+    let named: Vec<String> = paths_named(code, &here).into_iter().map(there).collect();
     let up = named.iter().filter(|path| floor_of(floors, path).is_some_and(|floor| floor > own));
     let say = |path: &String| {
         let floor = &floors[floor_of(floors, path).expect("found before")];
-        format!(
-            "src/{place} names {}, but {floor} stands after {} in ARCHITECTURE.md",
-            path.replace('/', "::"),
-            floors[own]
-        )
+        format!("{of} names {path}, but {floor} stands after {} in ARCHITECTURE.md", floors[own])
     };
     up.map(say).collect()
 }
@@ -188,7 +231,8 @@ fn paths_are_found_in_all_their_forms() {
 #[test]
 fn every_folder_names_only_those_above_it_in_the_list() {
     let floors = floors();
-    let sources = sources().into_iter().filter(|(place, _)| !["lib.rs", "main.rs"].contains(&place.as_str()));
+    let is_root = |place: &str| place.ends_with("lib.rs") || place == "main.rs";
+    let sources = sources().into_iter().filter(|(place, _)| !is_root(place));
     let up: Vec<String> = sources.flat_map(|(place, code)| arrows_up(&floors, &place, &code)).collect();
     assert!(up.is_empty(), "{}", up.join("\n"));
 }
@@ -197,25 +241,29 @@ fn every_folder_names_only_those_above_it_in_the_list() {
 fn an_arrow_up_and_a_file_on_no_floor_are_told() {
     let floors = floors();
     let told = |place: &str, code: &str| arrows_up(&floors, place, code).join("\n");
-    let up = "src/base/time.rs names cmds::Failure, but cmds stands after base in ARCHITECTURE.md";
-    assert_eq!(told("base/time.rs", "use crate::cmds::Failure;"), up);
-    let up = "src/reconstruct/mask/opening.rs names reconstruct::pipeline::Method, but reconstruct stands after \
+    let up =
+        "core/base/time.rs names core/data/Cloud, but core/data stands after core/base in ARCHITECTURE.md";
+    assert_eq!(told("core/base/time.rs", "use crate::data::Cloud;"), up);
+    let up = "reconstruct/mask/opening.rs names reconstruct/pipeline/Method, but reconstruct stands after \
               reconstruct/mask in ARCHITECTURE.md";
-    assert_eq!(told("reconstruct/mask/opening.rs", "use crate::reconstruct::pipeline::Method;"), up);
+    assert_eq!(told("reconstruct/mask/opening.rs", "use crate::pipeline::Method;"), up);
     assert_eq!(told("reconstruct/pipeline.rs", "use super::{mask, kernels::simd};"), "");
-    assert_eq!(told("tools/x.rs", ""), "src/tools/x.rs stands on no floor of ARCHITECTURE.md");
+    assert_eq!(told("devices/acquire/hold.rs", "use crate::{camera, record::Verdict};"), "");
+    assert_eq!(told("tools/x.rs", ""), "tools/x.rs stands on no floor of ARCHITECTURE.md");
 }
 
 #[test]
 fn every_floor_is_there_and_computing_stands_below_all_devices() {
     let floors = floors();
     for floor in &floors {
-        let path = root().join("src").join(floor);
-        assert!(path.is_dir() || path.with_extension("rs").is_file(), "{floor} is not in src");
+        let (krate, below) = floor.split_once('/').unwrap_or((floor, ""));
+        let of_library = root().join("crates").join(krate).join("src").join(below);
+        let is_there = |path: PathBuf| path.is_dir() || path.with_extension("rs").is_file();
+        assert!(is_there(of_library) || is_there(root().join("src").join(floor)), "{floor} is not there");
     }
     let at = |name: &str| floors.iter().position(|floor| floor == name).expect(name);
-    let computing = ["reconstruct", "merge", "calibrate", "validate"];
-    for device in ["record", "hsu", "camera", "acquire", "control", "api"] {
+    let computing = ["reconstruct", "reconstruct/merge", "calibrate", "calibrate/validate"];
+    for device in ["record", "devices/hsu", "devices/camera", "devices/acquire", "node/control", "node/api"] {
         assert!(computing.iter().all(|name| at(name) < at(device)), "{device}");
     }
 }
@@ -230,14 +278,14 @@ fn aravis_is_named_in_one_place() {
         words.contains(&"aravis_sys") || (0..words.len()).any(path)
     };
     assert!(names("use aravis::prelude;") && !names("use self::aravis::AravisCameras;"));
-    assert_eq!(offenders(|place| place.starts_with("camera/aravis"), names), [""; 0]);
+    assert_eq!(offenders(|place| place.starts_with("devices/camera/aravis"), names), [""; 0]);
 }
 
 #[test]
 fn tokio_stays_at_the_edge() {
     let edge = |place: &str| {
-        ["api/", "cmds/", "control/"].iter().any(|folder| place.starts_with(folder))
-            || ["capture/participant.rs", "s3/remote.rs"].contains(&place)
+        ["node/api/", "cmds/", "node/control/"].iter().any(|folder| place.starts_with(folder))
+            || ["node/capture/participant.rs", "node/s3/remote.rs"].contains(&place)
     };
     assert_eq!(offenders(edge, |code| words(code).contains(&"tokio")), [""; 0]);
 }
@@ -249,16 +297,16 @@ fn without_tests(code: &str) -> &str {
 
 /// What is opened by itself: files of the kernel, directories, and what is new.
 const OPENED_BY_ITSELF: [(&str, &str); 11] = [
-    ("base/regular.rs", "the one way"),
-    ("base/atomic_file.rs", "what it has just made"),
+    ("core/base/regular.rs", "the one way"),
+    ("core/base/atomic_file.rs", "what it has just made"),
     ("doctor/disk.rs", "/proc, and a file that it makes and removes"),
     ("doctor/host.rs", "/proc and /sys"),
     ("doctor/network.rs", "/proc"),
     ("doctor/reverse_path.rs", "/proc"),
     ("doctor/usb.rs", "/sys"),
-    ("host/memory.rs", "/proc and /sys"),
-    ("host/run_delay.rs", "/proc"),
-    ("network/interface.rs", "/sys"),
+    ("record/host/memory.rs", "/proc and /sys"),
+    ("record/host/run_delay.rs", "/proc"),
+    ("devices/network/interface.rs", "/sys"),
     ("record/direct_io.rs", "directories; segments, which are new"),
 ];
 
@@ -284,7 +332,7 @@ fn files_of_others_are_opened_in_one_way() {
     let told = |(place, code): (String, String)| {
         let way = opens_by_itself(&code).filter(|_| !exempt(&place))?;
         Some(format!(
-            "src/{place} names {way}, expected base::regular, which neither waits nor reads without a bound"
+            "{place} names {way}, expected base::regular, which neither waits nor reads without a bound"
         ))
     };
     let wrong: Vec<String> = sources().into_iter().filter_map(told).collect();
@@ -302,8 +350,14 @@ fn files_of_others_are_opened_in_one_way() {
 fn json_of_others_is_read_in_one_way() {
     // Messages within recordings, which checksums cover, and what a program of this system prints.
     let own = |place: &str| {
-        ["base/json.rs", "doctor/firewall/nft.rs", "capture/report.rs", "worker/run.rs", "api/audit.rs"]
-            .contains(&place)
+        [
+            "core/base/json.rs",
+            "doctor/firewall/nft.rs",
+            "node/capture/report.rs",
+            "node/worker/run.rs",
+            "node/api/audit.rs",
+        ]
+        .contains(&place)
             || place.starts_with("record/")
     };
     let reads = |code: &str| {

@@ -37,6 +37,12 @@ fn first_sentence(path: &str) -> String {
     text.join(" ").split(". ").next().unwrap_or_default().to_owned()
 }
 
+/// The file at a place: `crate/path` below that crate's sources, or a path below the program's.
+fn placed(place: &str) -> String {
+    let of_library = place.split_once('/').map(|(krate, path)| format!("crates/{krate}/src/{path}"));
+    of_library.filter(|file| root().join(file).exists()).unwrap_or_else(|| format!("src/{place}"))
+}
+
 /// First look: the README names the code map. Second look: a line there names the file. Its first sentence is about it.
 #[test]
 fn a_stranger_finds_a_stage_in_two_looks() {
@@ -54,7 +60,7 @@ fn a_stranger_finds_a_stage_in_two_looks() {
         (
             "what says which trigger a frame is of",
             "which trigger it is",
-            "matcher/mod.rs",
+            "record/matcher/mod.rs",
             "Which trigger a frame belongs to",
         ),
         ("where the paper's own method is", "to the letter", "reconstruct/paper", ""),
@@ -64,7 +70,7 @@ fn a_stranger_finds_a_stage_in_two_looks() {
             lines.map(str::to_lowercase).any(|line| line.contains(&line_says.to_lowercase())),
             "{asked}: {file}"
         );
-        assert!(file_says.is_empty() || first_sentence(&format!("src/{file}")).contains(file_says), "{file}");
+        assert!(file_says.is_empty() || first_sentence(&placed(file)).contains(file_says), "{file}");
     }
 }
 
@@ -105,15 +111,17 @@ fn every_file_that_a_document_names_is_there() {
     file_names(&root(), &mut names);
     let mut missing = Vec::new();
     for (document, text) in documents() {
-        // Places are told from the document, from the root, or from the folder that it is about.
+        // Places are told from the document, from the root, as of a crate, or from the folder that it is about.
         let folders =
-            ["", "src", "src/reconstruct", "simulator/src", "tests/it"].map(|folder| root().join(folder));
+            ["", "crates/reconstruct/src", "simulator/src", "tests/it"].map(|folder| root().join(folder));
         let from = [document.parent().expect("a folder").to_path_buf()].into_iter().chain(folders);
         let from: Vec<PathBuf> = from.collect();
         for name in files_named(&text) {
             // What commands write is there only after they ran.
             let made = name.starts_with("target/") || name.starts_with('/');
-            let there = made || from.iter().any(|from| from.join(&name).exists());
+            let there = made
+                || from.iter().any(|from| from.join(&name).exists())
+                || root().join(placed(&name)).exists();
             let alone = !name.contains('/') && names.contains(&name);
             if !there && !alone {
                 missing.push(format!("{} names {name}", document.display()));

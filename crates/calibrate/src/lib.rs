@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Computes a calibration from photographs of the board (paper, section 4.2). Its file is [`crate::data::Calibration`].
+//!
+//! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` judges
+//! the photographs, `positions` brings those of a position together, `placement` and `consistency` refuse what does not
+//! fit, `bundle` adjusts lenses and poses, `phases` reads fringes at points of the board, `orders` tells which fringes they are,
+//! `rows` finds the panel's rows, which fringes do not tell, `stages` and `global` are
+//! the paper's three stages, `drift` says later how far devices have turned, `world` says where the floor is, `run` is all of it.
+//! `docs/design/calibration.md` has the definitions.
+
+use fourdbody_core::{base, config, data, formats, geometry};
+use fourdbody_reconstruct as reconstruct;
+
+pub mod advice;
+pub mod artwork;
+mod board;
+mod bundle;
+pub mod compare;
+mod consistency;
+pub mod drift;
+mod ellipse;
+mod findings;
+mod gamma;
+pub mod global;
+pub mod guide;
+pub mod joined;
+mod lattice;
+mod marker_check;
+mod orders;
+mod phases;
+mod placement;
+pub mod positions;
+pub mod report;
+mod rows;
+pub mod run;
+mod spots;
+pub mod stages;
+mod start;
+/// Figures of merit: clouds against the truth (paper, section 5).
+pub mod validate;
+pub mod views;
+mod world;
+
+pub use board::{Board, Circle};
+pub use bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prior, adjust};
+pub use ellipse::{Ellipse, image_of_circle};
+pub use findings::{Finding, Kind};
+pub use gamma::LightSample;
+pub use lattice::{NotIdentified, Sighting, identify};
+pub use positions::Position;
+pub use spots::{Spot, find_spots};
+pub use world::{Vertical, WorldError, nearest_motion};

@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! How a command ends, and why something failed: the exit code, and what was expected, found, and is to be done.
+
+use serde::{Deserialize, Serialize};
+use std::process::ExitCode;
+
+/// How a command ended (a contract with scripts).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Exit {
+    /// Done.
+    Done = 0,
+    /// Any other failure.
+    Failure = 1,
+    /// Wrong usage or configuration.
+    Usage = 2,
+    /// Done, with data loss that is accounted for.
+    DataLoss = 3,
+    /// Data corrupt, or a verification failed.
+    Corrupt = 4,
+    /// A device or a link failed.
+    Device = 5,
+}
+
+impl Exit {
+    /// The exit that a code of a fault means.
+    pub fn from_code(code: u8) -> Self {
+        let known = [Self::Done, Self::Usage, Self::DataLoss, Self::Corrupt, Self::Device];
+        known.into_iter().find(|exit| *exit as u8 == code).unwrap_or(Self::Failure)
+    }
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        ExitCode::from(exit as u8)
+    }
+}
+
+/// Why something failed, with the exit code that it means on the command line.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+pub struct Fault {
+    /// As a process exit code.
+    pub exit: u8,
+    /// What was expected, what was found, what to do.
+    pub message: String,
+}
+
+impl Fault {
+    /// A fault with this exit code.
+    pub fn new(exit: Exit, message: impl ToString) -> Self {
+        Self { exit: exit as u8, message: message.to_string() }
+    }
+}

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A frame whose phase is known but for its fringe orders.
+
+use super::{Orders, Regions};
+use crate::base::image::Plane;
+use crate::counts::Counts;
+use crate::data::STEPS_PER_LEVEL;
+use crate::kernels::pixel_runs::Runs;
+use crate::kernels::region_of_interest::Roi;
+use crate::kernels::stage_times::Clock;
+use crate::phase::window_quality::Windows;
+use crate::triangulate::ray_table::RayTable;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A frame whose phase is known but for its fringe orders: [`super::solve`] finds these before `Pipeline::finish` makes the
+/// cloud.
+#[derive(Debug)]
+pub struct UnwrappedFrame {
+    /// Where the object is; all planes cover this part of the frame.
+    pub roi: Roi,
+    /// Phase, rad, absolute but for [`UnwrappedFrame::orders`]; NaN where it is not known. Far beside the runs it is any number.
+    pub absolute: Plane<f32>,
+    /// Lines of sight of the camera.
+    pub(crate) table: Arc<RayTable>,
+    /// How certain its orders are.
+    pub regions: Regions,
+    /// Its patches, and their orders.
+    pub(crate) orders: Orders,
+    /// Not 0 on marker cores.
+    pub marker: Plane<u8>,
+    /// How it went so far.
+    pub counts: Counts,
+    /// Runs of the object without what is over-exposed: nothing is known outside of them.
+    pub(crate) runs: Runs,
+    pub(crate) windows: Windows,
+    /// The photograph.
+    pub(crate) image: Plane<u8>,
+    pub(crate) period: Plane<f32>,
+    /// Around the marker: not 0.
+    pub(crate) zone: Plane<u8>,
+    pub(crate) planes: Vec<(&'static str, Plane<f32>)>,
+    pub(crate) clock: Clock,
+}
+
+impl UnwrappedFrame {
+    /// Fringe period Pm, px.
+    pub fn period(&self) -> &Plane<f32> {
+        &self.period
+    }
+
+    /// Runs of the object without what is over-exposed.
+    pub fn runs(&self) -> &Runs {
+        &self.runs
+    }
+
+    /// Light over one period around a pixel that has a phase, by its place in the region of interest, row by row, DN.
+    pub(crate) fn light_dn(&self, pixel: usize) -> f32 {
+        let light = self.windows.light.at(pixel % self.roi.width, pixel / self.roi.width);
+        f32::from(light) / STEPS_PER_LEVEL
+    }
+
+    /// Notes a frame's share of work that was done for several.
+    pub fn add_time(&mut self, stage: &'static str, time: Duration) {
+        self.clock.0.push((stage, time));
+    }
+}

@@ -1,0 +1,356 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Object mask Om: which pixels show the lit object (paper, 4.1, Figure 6).
+//!
+//! [`envelope`] thresholds the logarithm of the fringes' upper envelope and keeps every component, so that dark hair
+//! and detached hands survive. The paper's own is [`super::paper::mask`].
+
+pub(crate) mod envelope;
+pub(crate) mod opening;
+
+use super::kernels::pixel_runs::{self, Run, Runs};
+use super::kernels::{connected_components, simd};
+use crate::base::image::{Mono8, Plane};
+use envelope::Above;
+use opening::Opening;
+
+/// Pixels at or above this value are over-exposed: their phase means nothing.
+pub const SATURATED: u8 = 250;
+
+/// Smallest component that [`envelope`] keeps, px.
+const MIN_COMPONENT_PX: u32 = 400;
+
+/// Envelope levels below the black level by less than this are never object, DN.
+const MIN_ABOVE_BLACK_DN: u8 = 6;
+
+/// Envelope levels above the black level by more than this are always object, DN: fringes on dark hair are
+/// that weak, and Otsu's threshold, drawn by the mass of bright skin, lies above them.
+const MAX_ABOVE_BLACK_DN: u8 = 8;
+
+/// Planes and rows that are used again from frame to frame.
+#[derive(Debug, Default)]
+pub struct Buffers {
+    smooth: Plane<u8>,
+    closed: [Vec<u8>; 3],
+    sorted: [Vec<u8>; 3],
+    row: Vec<u8>,
+    scratch: Scratch,
+    above: Above,
+    bits: Vec<u64>,
+    opening: Opening,
+    runs: Runs,
+    /// The object's runs with the pixels that are over-exposed.
+    pub lit: Runs,
+}
+
+/// Rows that the opening reaches up and down.
+const OPENING_ROWS: usize = 2;
+
+/// The default mask: the runs of the object, without over-exposed pixels. `period_px` is the nominal fringe period in the
+/// image.
+pub fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object: &mut Runs) {
+    let width = (1.2 * period_px).ceil() as usize | 1;
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            sample_envelope(image, width, buffers);
+            let Buffers { smooth, above, bits, opening, runs, .. } = &mut *buffers;
+            let columns = above.find(image, log_threshold(smooth), width / 2, bits);
+            opening.runs(bits, columns, (image.height(), OPENING_ROWS), runs);
+        },
+    );
+    let Buffers { runs, row, lit, .. } = buffers;
+    let (piece, pieces) = connected_components::connect(runs);
+    keep(runs, |place| pieces[piece[place] as usize].area >= MIN_COMPONENT_PX, lit);
+    part(lit, image, row, object);
+}
+
+/// One row in so many tells the threshold.
+const SAMPLED_ROWS: usize = 16;
+
+/// Some rows of the envelope: a row closing of `width` pixels and a 3 x 3 median of it, whose outermost pixels are copied.
+#[inline(always)]
+fn sample_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
+    let (w, h) = (image.width(), image.height());
+    let Buffers { smooth, closed, sorted, row: raised, scratch, .. } = buffers;
+    for row in closed.iter_mut().chain(sorted.iter_mut()).chain([&mut *raised]) {
+        row.resize(w, 0);
+    }
+    let first = (h / 2).min(SAMPLED_ROWS / 2);
+    smooth.reshape(w, (h - first).div_ceil(SAMPLED_ROWS), 0);
+    for (out, v) in (first..h).step_by(SAMPLED_ROWS).enumerate() {
+        let rows = [v.saturating_sub(1), v, (v + 1).min(h - 1)];
+        for (v, closed) in rows.into_iter().zip(&mut *closed) {
+            scratch.sliding(image.row(v), raised, width, u8::max);
+            scratch.sliding(raised, closed, width, u8::min);
+        }
+        let out = smooth.row_mut(out);
+        out.copy_from_slice(&closed[1]);
+        if v > 0 && v + 1 < h && w >= 3 {
+            median3x3([&closed[0], &closed[1], &closed[2]], sorted, &mut out[1..w - 1]);
+        }
+    }
+}
+
+/// 3 x 3 median of three rows: the median of the largest of the column minima, the median of the column medians and
+/// the smallest of the column maxima. The first and the last column have none.
+#[inline(always)]
+fn median3x3([above, own, below]: [&[u8]; 3], [low, middle, high]: &mut [Vec<u8>; 3], out: &mut [u8]) {
+    let w = own.len();
+    let (above, below) = (&above[..w], &below[..w]);
+    let (low, middle, high) = (&mut low[..w], &mut middle[..w], &mut high[..w]);
+    for u in 0..w {
+        let (a, b, c) = (above[u], own[u], below[u]);
+        let (less, more) = (a.min(b), a.max(b));
+        low[u] = less.min(c);
+        middle[u] = less.max(more.min(c));
+        high[u] = more.max(c);
+    }
+    let median = |x: u8, y: u8, z: u8| x.min(y).max(x.max(y).min(z));
+    let (low, middle, high) = (&low[..], &middle[..], &high[..]);
+    let (l0, l1, l2) = (&low[..w - 2], &low[1..w - 1], &low[2..]);
+    let (m0, m1, m2) = (&middle[..w - 2], &middle[1..w - 1], &middle[2..]);
+    let (h0, h1, h2) = (&high[..w - 2], &high[1..w - 1], &high[2..]);
+    let out = &mut out[..w - 2];
+    for u in 0..w - 2 {
+        let low = l0[u].max(l1[u]).max(l2[u]);
+        let high = h0[u].min(h1[u]).min(h2[u]);
+        out[u] = median(low, median(m0[u], m1[u], m2[u]), high);
+    }
+}
+
+/// Threshold on the envelope: Otsu on its logarithm, but never within the noise of the black level.
+#[inline(always)]
+fn log_threshold(envelope: &Plane<u8>) -> u8 {
+    let counts = histogram(envelope.as_slice());
+    let mut logarithmic = [0u32; 256];
+    let bin = |value: usize| ((value as f32 + 1.0).log2() * 31.0) as usize;
+    for (value, &count) in counts.iter().enumerate() {
+        logarithmic[bin(value)] += count;
+    }
+    let level = otsu_level(&logarithmic);
+    let from_otsu = (0..256).rev().find(|&value| bin(value) <= level).unwrap_or(0) as u8;
+    // The most frequent level of the darker class: that of the whole frame is the object's where it fills the frame.
+    let black = (0..=usize::from(from_otsu)).max_by_key(|&i| (counts[i], 256 - i)).unwrap_or(0) as u8;
+    from_otsu.clamp(black.saturating_add(MIN_ABOVE_BLACK_DN), black.saturating_add(MAX_ABOVE_BLACK_DN))
+}
+
+/// Otsu's threshold (1979): the last bin of the darker class.
+pub(super) fn otsu_level(histogram: &[u32; 256]) -> usize {
+    let total: f64 = histogram.iter().map(|&n| f64::from(n)).sum();
+    let sum: f64 = histogram.iter().enumerate().map(|(i, &n)| i as f64 * f64::from(n)).sum();
+    let (mut below, mut sum_below) = (0.0, 0.0);
+    let mut best = (0.0, 0);
+    for (i, &n) in histogram.iter().enumerate() {
+        below += f64::from(n);
+        sum_below += i as f64 * f64::from(n);
+        let above = total - below;
+        if below == 0.0 || above == 0.0 {
+            continue;
+        }
+        let gap = sum_below / below - (sum - sum_below) / above;
+        let between = below * above * gap * gap;
+        if between > best.0 {
+            best = (between, i);
+        }
+    }
+    best.1
+}
+
+/// Pixels that are counted together where they are alike, few enough for a byte to count them; and how many levels that is.
+const ALIKE: usize = 192;
+const LEVELS: u8 = 8;
+
+/// How often each value occurs. Most of a photograph is dark and even: there every level is counted in all pixels at once.
+#[inline(always)]
+pub(super) fn histogram(values: &[u8]) -> [u32; 256] {
+    // Four counts for neighbouring pixels: they are often equal, and a count that has just been written is slow to read.
+    let mut counts = [[0u32; 256]; 4];
+    let (parts, rest) = values.as_chunks::<ALIKE>();
+    for part in parts {
+        let (mut least, mut most) = (u8::MAX, 0);
+        for &x in part {
+            (least, most) = (least.min(x), most.max(x));
+        }
+        if most - least >= LEVELS {
+            for four in part.as_chunks::<4>().0 {
+                for (counts, &value) in counts.iter_mut().zip(four) {
+                    counts[usize::from(value)] += 1;
+                }
+            }
+            continue;
+        }
+        for level in least..=most {
+            let mut count = 0u8;
+            for &x in part {
+                count += u8::from(x == level);
+            }
+            counts[0][usize::from(level)] += u32::from(count);
+        }
+    }
+    for &value in rest {
+        counts[0][usize::from(value)] += 1;
+    }
+    std::array::from_fn(|i| counts.iter().map(|counts| counts[i]).sum())
+}
+
+/// Those of some runs, by their place among all, that are the object's.
+fn keep(runs: &Runs, is_object: impl Fn(usize) -> bool, lit: &mut Runs) {
+    lit.clear();
+    for v in 0..runs.height() {
+        runs.places(v).filter(|&place| is_object(place)).for_each(|place| lit.push(runs.all()[place]));
+        lit.end_row();
+    }
+}
+
+/// The object's runs, parted by over-exposed pixels. `row` is memory to use.
+fn part(lit: &Runs, image: Mono8<'_>, row: &mut Vec<u8>, object: &mut Runs) {
+    object.clear();
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..lit.height() {
+                for run in lit.row(v) {
+                    part_saturated(*run, &image.row(v)[run.columns()], row, object);
+                }
+                object.end_row();
+            }
+        },
+    );
+}
+
+/// Adds a run, which has these `pixels`, without those that are over-exposed.
+#[inline(always)]
+fn part_saturated(run: Run, pixels: &[u8], row: &mut Vec<u8>, object: &mut Runs) {
+    // Few runs have any.
+    let mut most = 0;
+    for &x in pixels {
+        most = most.max(x);
+    }
+    if most < SATURATED {
+        return object.push(run);
+    }
+    row.resize(pixels.len(), 0);
+    for (good, &x) in row.iter_mut().zip(pixels) {
+        *good = u8::from(x < SATURATED);
+    }
+    pixel_runs::runs_of(
+        row,
+        #[inline(always)]
+        |first, end| object.push(Run::new(run.start() + first, run.start() + end)),
+    );
+}
+
+/// Buffers of the sliding extremes: the passes go from one to the other, so that nothing overlaps.
+#[derive(Debug, Default)]
+struct Scratch([Vec<u8>; 2]);
+
+impl Scratch {
+    /// `out[i]` = extreme of `row[i - width/2 ..= i + width/2]`; the ends repeat. Doubling: log2(width) passes
+    /// of plain slice operations, which the compiler vectorises.
+    #[inline(always)]
+    fn sliding(&mut self, row: &[u8], out: &mut [u8], width: usize, extreme: impl Fn(u8, u8) -> u8 + Copy) {
+        let (Some(&first), Some(&last)) = (row.first(), row.last()) else { return };
+        let half = width / 2;
+        let [from, to] = &mut self.0;
+        from.clear();
+        from.resize(half, first);
+        from.extend_from_slice(row);
+        from.resize(row.len() + 2 * half, last);
+        to.resize(from.len(), 0);
+        let mut covered = 1;
+        while 2 * covered < width {
+            for ((to, &a), &b) in to.iter_mut().zip(from.iter()).zip(&from[covered..]) {
+                *to = extreme(a, b);
+            }
+            std::mem::swap(from, to);
+            covered *= 2;
+        }
+        for ((to, &a), &b) in out.iter_mut().zip(from.iter()).zip(&from[width - covered..]) {
+            *to = extreme(a, b);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Buffers, Scratch, envelope, histogram, median3x3};
+    use crate::base::image::{Mono8, Plane};
+    use crate::kernels::pixel_runs::Runs;
+    use proptest::prelude::{any, prop_assert_eq, proptest};
+
+    /// The mask as a plane.
+    fn mask(image: &Plane<u8>) -> Plane<u8> {
+        let (mut object, mut plane) = (Runs::default(), Plane::filled(image.width(), image.height(), 7));
+        envelope(Mono8::from(image), 10.0, &mut Buffers::default(), &mut object);
+        object.paint(&mut plane);
+        plane
+    }
+
+    /// A bright and a dark fringed rectangle, apart, on black.
+    fn two_parts() -> Plane<u8> {
+        let mut image = Plane::filled(300, 120, 2u8);
+        for v in 10..110 {
+            for u in (20..120).chain(180..280) {
+                let level = if u < 150 { 90.0 } else { 12.0 };
+                let fringe = 1.0 + (std::f32::consts::TAU * u as f32 / 10.0).cos();
+                image.set(u, v, (2.0 + level * fringe) as u8);
+            }
+        }
+        image
+    }
+
+    #[test]
+    fn dark_and_detached_parts_stay() {
+        let both = mask(&two_parts());
+        assert!(both.at(70, 60) == 1 && both.at(230, 60) == 1 && both.at(150, 60) == 0);
+    }
+
+    #[test]
+    fn over_exposed_pixels_leave() {
+        let mut image = two_parts();
+        image.set(70, 60, 255);
+        let found = mask(&image);
+        assert_eq!([69, 70, 71].map(|u| found.at(u, 60)), [1, 0, 1]);
+    }
+
+    proptest! {
+        #[test]
+        fn sliding_maximum_is_the_maximum(row in proptest::collection::vec(any::<u8>(), 1..60), half in 0usize..9) {
+            let mut out = vec![0; row.len()];
+            Scratch::default().sliding(&row, &mut out, 2 * half + 1, u8::max);
+            for (i, &found) in out.iter().enumerate() {
+                let window = &row[i.saturating_sub(half)..(i + half + 1).min(row.len())];
+                prop_assert_eq!(found, window.iter().copied().max().unwrap_or(0));
+            }
+        }
+
+        #[test]
+        fn every_value_is_counted(
+            levels in proptest::collection::vec((any::<u8>(), 1u8..20), 1..6),
+            noise in proptest::collection::vec(any::<u8>(), 0..1000),
+        ) {
+            let value = |(i, x): (usize, &u8)| {
+                let (level, range) = levels[i / 200 % levels.len()];
+                level.saturating_add(x % range)
+            };
+            let values: Vec<u8> = noise.iter().enumerate().map(value).collect();
+            let counts = histogram(&values);
+            for level in 0..=u8::MAX {
+                let plain = values.iter().filter(|&&x| x == level).count();
+                prop_assert_eq!(counts[usize::from(level)] as usize, plain);
+            }
+        }
+
+        #[test]
+        fn median_of_nine_is_the_fifth(values in proptest::collection::vec(any::<u8>(), 3 * 40)) {
+            let rows = [&values[..40], &values[40..80], &values[80..]];
+            let (mut sorted, mut out) = (std::array::from_fn(|_| vec![0; 40]), vec![0; 38]);
+            median3x3(rows, &mut sorted, &mut out);
+            for (u, &found) in out.iter().enumerate() {
+                let mut nine: Vec<u8> = rows.iter().flat_map(|row| row[u..u + 3].to_vec()).collect();
+                nine.sort_unstable();
+                prop_assert_eq!(found, nine[4]);
+            }
+        }
+    }
+}

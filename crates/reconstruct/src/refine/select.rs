@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Absolute phase Fm: which of the unwrapped pixels are good enough to become points.
+//!
+//! A demodulation window that crosses a depth step mixes two surfaces; its phase is neither's. Such pixels are
+//! dropped with a margin, unless it is certain that their own has not: completeness may suffer, truth may not.
+
+use super::FrameMaps;
+use crate::base::image::Plane;
+use crate::kernels::pixel_runs::{Run, each_not_0};
+use crate::kernels::{prefetch, simd};
+use crate::phase::window_quality::STEPS_PER_DN;
+use std::f32::consts::TAU;
+
+/// Settings of the selection.
+#[derive(Debug, Clone, Copy)]
+pub struct Settings {
+    /// Neighbours whose absolute phases differ by more than the carrier and this are on a step, rad.
+    pub step_rad: f32,
+    /// Least fringe amplitude, DN.
+    pub min_amplitude: f32,
+    /// Largest misfit of the fringe model (see [`Windows::misfit`]).
+    pub max_misfit: f32,
+    /// Pixels of less misfit stay beside a step, too: their window has not seen it.
+    pub clear_misfit: f32,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { step_rad: 1.2, min_amplitude: 1.5, max_misfit: 0.6, clear_misfit: 0.08 }
+    }
+}
+
+/// Rows of marks around the row that is worked on.
+#[derive(Debug, Default)]
+struct Buffers {
+    /// 1 near a step, of three rows.
+    near: [Vec<u8>; 3],
+    /// 1 where the step to the row below is one between surfaces.
+    down: Vec<u8>,
+    /// 1 beside such a step.
+    beside: Vec<u8>,
+    right: Vec<u8>,
+}
+
+/// Drops pixels that are faint, do not look like a fringe, or lie near a depth step; `absolute`, which is known within
+/// `runs` only, becomes NaN there. Returns how many were dropped.
+pub fn select(
+    absolute: &mut Plane<f32>,
+    FrameMaps { runs, period, windows, sign, .. }: FrameMaps<'_>,
+    settings: &Settings,
+) -> usize {
+    let (w, h) = (absolute.width(), absolute.height());
+    let mut buffers = Buffers::default();
+    for row in buffers.near.iter_mut().chain([&mut buffers.down, &mut buffers.beside, &mut buffers.right]) {
+        row.clear();
+        row.resize(w, 0);
+    }
+    let mut dropped = 0;
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for next in 0..h + 1 {
+                let soon = next + prefetch::AHEAD;
+                prefetch::row(absolute, runs, soon);
+                prefetch::row(period, runs, soon);
+                prefetch::row(&windows.strength, runs, soon);
+                prefetch::row(&windows.misfit, runs, soon);
+                if next < h {
+                    buffers.near[(next + 1) % 3].fill(0);
+                    let below = (next + 1 < h).then(|| absolute.row(next + 1));
+                    for run in runs.row(next) {
+                        let rows = (absolute.row(next), below, period.row(next));
+                        buffers.mark(run, rows, sign, settings);
+                    }
+                }
+                let Some(v) = next.checked_sub(1) else { continue };
+                for run in runs.row(v) {
+                    let columns = run.columns();
+                    let strength = &windows.strength.row(v)[columns.clone()];
+                    let misfit = &windows.misfit.row(v)[columns.clone()];
+                    let near = &buffers.near[v % 3][columns.clone()];
+                    let phase = &mut absolute.row_mut(v)[columns];
+                    dropped += drop_from(phase, (strength, misfit, near), settings);
+                }
+            }
+        },
+    );
+    dropped
+}
+
+impl Buffers {
+    /// Marks what lies within half a period along the row, in this row and those beside it, of the pixels of a run that
+    /// have a neighbour on another surface. `rows`: the phases of the row and of that below, and the row's periods.
+    #[inline(always)]
+    fn mark(
+        &mut self,
+        run: &Run,
+        (row, below, period): (&[f32], Option<&[f32]>, &[f32]),
+        sign: f32,
+        settings: &Settings,
+    ) {
+        let Settings { step_rad, .. } = *settings;
+        let (start, n) = (run.start(), run.columns().len());
+        let (row, p) = (&row[run.columns()][..n], &period[run.columns()][..n]);
+        let (right, beside) = (&mut self.right[..n], &mut self.beside[..n]);
+        for i in 0..n - 1 {
+            // The carrier is a turn in two periods' mean; times these, because a quotient is slow.
+            let both = p[i] + p[i + 1];
+            right[i] = u8::from(((row[i + 1] - row[i]) * both - sign * 2.0 * TAU).abs() > step_rad * both);
+        }
+        right[n - 1] = 0;
+        // From the row above; only known phases have steps, so that those of other runs are 0.
+        let down = &mut self.down[run.columns()][..n];
+        beside.copy_from_slice(down);
+        match below {
+            None => down.fill(0),
+            Some(below) => {
+                let below = &below[run.columns()][..n];
+                for i in 0..n {
+                    down[i] = u8::from((below[i] - row[i]).abs() > step_rad);
+                }
+            }
+        }
+        for i in 0..n {
+            beside[i] |= down[i] | right[i];
+        }
+        for i in 1..n {
+            beside[i] |= right[i - 1];
+        }
+        // What is marked so far, of which the row's next may be a part.
+        let (mut first, mut end) = (0, 0);
+        let near = &mut self.near;
+        let mut fill = |first: usize, end: usize| {
+            for row in near.iter_mut() {
+                let end = end.min(row.len());
+                row[first..end].fill(1);
+            }
+        };
+        each_not_0(beside, |i| {
+            let reach = (p[i] / 2.0).ceil() as usize;
+            let from = (start + i).saturating_sub(reach);
+            if from > end {
+                fill(first, end);
+                first = from;
+            }
+            first = first.min(from);
+            end = end.max(start + i + reach + 1);
+        });
+        fill(first, end);
+    }
+}
+
+/// Drops the pixels of a run that are not good; returns how many.
+#[inline(always)]
+fn drop_from(
+    phase: &mut [f32],
+    (strength, misfit, near): (&[u16], &[f32], &[u8]),
+    settings: &Settings,
+) -> usize {
+    let n = phase.len();
+    let (strength, misfit, near) = (&strength[..n], &misfit[..n], &near[..n]);
+    let least = (6.0 * settings.min_amplitude * STEPS_PER_DN) as u16;
+    let mut dropped = 0u32;
+    for i in 0..n {
+        let apart = (near[i] == 0) | (misfit[i] < settings.clear_misfit);
+        let good = (strength[i] >= least) & (misfit[i] <= settings.max_misfit) & apart;
+        dropped += u32::from(!good & !phase[i].is_nan());
+        phase[i] = if good { phase[i] } else { f32::NAN };
+    }
+    dropped as usize
+}

@@ -1,0 +1,235 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The standard uncertainty of every phase, from what the frame itself shows.
+//!
+//! - **Noise.** Fourth differences of the phase along the column know nothing of slope and curvature: they are noise.
+//!   They are taken between rows whose means have no row in common, so that a texture of the skin, which neighbouring
+//!   rows share and no mean takes off, is in them like the noise of the sensor. Their median among pixels of equal
+//!   light, times the amplitude B, gives the noise of a mean by light: texture, shot and read noise, fixed pattern and
+//!   rounding together, without anything being stated of sensor or skin. Means of fewer rows have more of it.
+//! - **Shape.** What windows and rows do where neither light nor slope is constant is taken off to first order
+//!   (`shading`, `curvature`); what is left grows with the misfit of the window, beyond the misfit that most pixels
+//!   of equal light have from noise and from harmonics, which do no harm.
+//! - **Doubt.** At edges of colour `edges` says what error to expect.
+//!
+//! These are independent. Not in it: the calibration, which moves all points of a camera together, and wrong fringe
+//! orders, which are refused and have no distribution. `fourdbody validate truth --uncertainty` holds it against
+//! rendered truth.
+
+use super::FrameMaps;
+use crate::base::image::Plane;
+use crate::data::encode_sigma;
+use crate::kernels::simd;
+use crate::phase::demodulate;
+use crate::phase::window_quality::{self, Windows};
+
+/// Classes of light, and their width in DN.
+const CLASSES: usize = 16;
+const CLASS_DN: f32 = 16.0;
+
+/// Pixels that a class needs for its noise to be taken from it.
+const MIN_PIXELS: u32 = 200;
+
+/// Weights of a fourth difference; rows from one of its phases to the next, whose means of [`demodulate::ROWS`] do not
+/// overlap.
+const WEIGHTS: [f32; 5] = [1.0, -4.0, 6.0, -4.0, 1.0];
+const LAG: usize = demodulate::ROWS;
+
+/// The median of a squared normal number is 0.4549.
+const PER_MEDIAN: f32 = 1.0 / 0.4549;
+
+/// Fourth differences beyond this are steps, rad.
+const MAX_DIFFERENCE: f32 = 2.0;
+
+/// Pixels of more misfit than this are at edges, unless what it is of the light, DN, may be noise.
+const MAX_MISFIT: f32 = 0.05;
+const MAX_NOISE_DN: f32 = 1.0;
+
+/// Mean square of the residual over its lower quartile, for three degrees of freedom.
+const PER_QUARTILE: f32 = 3.0 / 1.2125;
+
+/// Bins of residuals: four in every factor of two from 2^-10 DN^2.
+const BINS: usize = 96;
+
+/// Noise of one row's phase times the amplitude, where no class has enough pixels, rad DN.
+const DEFAULT_NOISE: f32 = 0.6;
+
+/// What the formula is off by on every surface: panel pixels, rounding, harmonics that are left, rad.
+const FLOOR_RAD: f32 = 0.0055;
+
+/// Standard uncertainty per misfit beyond that of noise, rad.
+const PER_MISFIT: f32 = 0.4;
+
+/// So many times the usual square of the misfit is nothing unusual yet.
+const USUAL: f32 = 2.0;
+
+/// The errors that `edges` expects are RMS values over long tails; their core is narrower.
+const CORE_SHARE: f32 = 0.55;
+
+/// Rows that `demodulate::average_rows` takes from on each side, and its bound.
+const ROWS_EACH_SIDE: usize = 2;
+const MORE_MISFIT: f32 = 0.03;
+
+/// The standard uncertainty of every known phase, as a byte ([`encode_sigma`]). `expected`: the error that `edges` found
+/// for doubtful pixels, NaN for all others. `marker_rows`: rows averaged where `zone` is not 0.
+pub fn sigma_codes(
+    absolute: &Plane<f32>,
+    FrameMaps { windows, zone, .. }: FrameMaps<'_>,
+    expected: &Plane<f32>,
+    marker_rows: f32,
+) -> Plane<u8> {
+    let (width, height) = (absolute.width(), absolute.height());
+    let rows = averaged_rows(windows);
+    let noise = Noise::of(absolute, windows, &rows);
+    let mut sigma_codes = Plane::filled(width, height, 0u8);
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..height {
+                let rows = rows.row(v);
+                let (phase, misfit) = (absolute.row(v), windows.misfit.row(v));
+                let (strength, light) = (windows.strength.row(v), windows.light.row(v));
+                let (zone, expected) = (zone.row(v), expected.row(v));
+                for (u, sigma_code) in sigma_codes.row_mut(v).iter_mut().enumerate() {
+                    if phase[u].is_nan() {
+                        continue;
+                    }
+                    let amplitude = window_quality::amplitude(strength[u]).max(0.1);
+                    let rows = if zone[u] != 0 { marker_rows.max(1.0) } else { f32::from(rows[u]) };
+                    let [variance, usual] =
+                        noise.at(window_quality::light(light[u])).map(|x| x / (amplitude * amplitude));
+                    let random = (variance / rows).sqrt();
+                    let shape = if expected[u].is_nan() {
+                        let beyond = misfit[u] * misfit[u] - USUAL * usual;
+                        PER_MISFIT * beyond.max(0.0).sqrt()
+                    } else {
+                        CORE_SHARE * expected[u]
+                    };
+                    *sigma_code =
+                        encode_sigma((random * random + shape * shape + FLOOR_RAD * FLOOR_RAD).sqrt());
+                }
+            }
+        },
+    );
+    sigma_codes
+}
+
+/// How many rows went into each phasor.
+fn averaged_rows(windows: &Windows) -> Plane<u8> {
+    let misfit = &windows.misfit;
+    let mut rows = Plane::filled(misfit.width(), misfit.height(), 1u8);
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            for v in 0..misfit.height() {
+                let (own, rows) = (misfit.row(v), rows.row_mut(v));
+                for k in 1..=ROWS_EACH_SIDE.min(v).min(misfit.height() - 1 - v) {
+                    let (above, below) = (misfit.row(v - k), misfit.row(v + k));
+                    let (light_above, light_below) = (windows.light.row(v - k), windows.light.row(v + k));
+                    for (u, rows) in rows.iter_mut().enumerate() {
+                        let known = (light_above[u] > 0) & (light_below[u] > 0);
+                        let takes_part = known & (above[u].max(below[u]) <= own[u] + MORE_MISFIT);
+                        *rows += if takes_part { 2 } else { 0 };
+                    }
+                }
+            }
+        },
+    );
+    rows
+}
+
+/// By light: variance of one row's phase, rad^2, and usual mean square of the misfit, both times the square of the
+/// amplitude.
+struct Noise([[f32; 2]; CLASSES]);
+
+type Counts = [[u32; BINS]; CLASSES];
+
+impl Noise {
+    /// `rows`: how many each phase is the mean of.
+    fn of(absolute: &Plane<f32>, windows: &Windows, rows: &Plane<u8>) -> Self {
+        let (mut differences, mut residuals): (Counts, Counts) = ([[0; BINS]; CLASSES], [[0; BINS]; CLASSES]);
+        const REACH: usize = WEIGHTS.len() / 2 * LAG;
+        for v in REACH..absolute.height().saturating_sub(REACH) {
+            let phases: [&[f32]; WEIGHTS.len()] = std::array::from_fn(|k| absolute.row(v + k * LAG - REACH));
+            let counts: [&[u8]; WEIGHTS.len()] = std::array::from_fn(|k| rows.row(v + k * LAG - REACH));
+            let (strength, light) = (windows.strength.row(v), windows.light.row(v));
+            let misfit = windows.misfit.row(v);
+            for u in 0..absolute.width() {
+                let difference: f32 = WEIGHTS.iter().zip(phases).map(|(w, phase)| w * phase[u]).sum();
+                let amplitude = window_quality::amplitude(strength[u]);
+                let level = (misfit[u] < MAX_MISFIT) | (misfit[u] * amplitude < MAX_NOISE_DN);
+                // Not so for NaN.
+                if (difference.abs() < MAX_DIFFERENCE) & level {
+                    // Of one row, if rows were independent: what it is divided by again.
+                    let share: f32 = WEIGHTS.iter().zip(counts).map(|(w, n)| w * w / f32::from(n[u])).sum();
+                    let power = amplitude * amplitude;
+                    let class = class(window_quality::light(light[u]));
+                    differences[class][bin(difference * difference / share * power)] += 1;
+                    residuals[class][bin(misfit[u] * misfit[u] * power)] += 1;
+                }
+            }
+        }
+        let variance = by_class(&differences, 2, PER_MEDIAN, DEFAULT_NOISE * DEFAULT_NOISE);
+        let usual = by_class(&residuals, 4, PER_QUARTILE, 1.0);
+        Self(std::array::from_fn(|i| [variance[i], usual[i]]))
+    }
+
+    /// Both at a mean light, DN, between the middles of the classes.
+    #[inline(always)]
+    fn at(&self, light: f32) -> [f32; 2] {
+        let place = (light / CLASS_DN - 0.5).clamp(0.0, (CLASSES - 1) as f32);
+        let below = (place as usize).min(CLASSES - 2);
+        let t = place - below as f32;
+        let (a, b) = (self.0[below], self.0[below + 1]);
+        [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])]
+    }
+}
+
+/// `factor` times the value that one in `part` of each class does not exceed. Classes with few pixels take what the
+/// nearest darker one has, the darkest that of the next brighter one.
+fn by_class(counts: &Counts, part: u32, factor: f32, default: f32) -> [f32; CLASSES] {
+    let mut values = counts.map(|counts| {
+        let all: u32 = counts.iter().sum();
+        let mut below = 0;
+        let found = counts.iter().position(|count| {
+            below += count;
+            part * below >= all
+        });
+        found.filter(|_| all >= MIN_PIXELS).map_or(f32::NAN, |bin| factor * bin_value(bin))
+    });
+    let mut last = values.iter().copied().find(|x| !x.is_nan()).unwrap_or(default);
+    for x in &mut values {
+        last = if x.is_nan() { last } else { *x };
+        *x = last;
+    }
+    values
+}
+
+fn class(light: f32) -> usize {
+    ((light / CLASS_DN) as usize).min(CLASSES - 1)
+}
+
+/// The bits of a float above its mantissa's second grow by 1 with every quarter of an octave, nearly.
+const BIN_SHIFT: u32 = 21;
+const FIRST_BIN: u32 = (127 - 10) << 2;
+
+fn bin(left: f32) -> usize {
+    ((left.to_bits() >> BIN_SHIFT).saturating_sub(FIRST_BIN) as usize).min(BINS - 1)
+}
+
+/// The middle of a bin.
+fn bin_value(bin: usize) -> f32 {
+    f32::from_bits(((FIRST_BIN + bin as u32) << BIN_SHIFT) + (1 << (BIN_SHIFT - 1)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{bin, bin_value};
+
+    #[test]
+    fn bins_hold_what_they_stand_for() {
+        for i in 0..90 {
+            assert_eq!(bin(bin_value(i)), i);
+        }
+        assert!((bin_value(bin(1.3)) / 1.3 - 1.0).abs() < 0.12);
+    }
+}

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Recordings: layout, writer, reader, verification.
+//!
+//! `docs/design/recording.md` states what they must keep true. [`layout`] is the contract between writer and
+//! reader; [`Recording`] writes one node's part of a session; [`SessionReader`] reads a session back.
+
+use fourdbody_core::{base, config, data};
+
+mod action_counts;
+mod advice;
+mod belonging;
+pub mod catalogue;
+mod credible;
+pub mod describe;
+mod direct_io;
+mod disk_thread;
+pub mod envelope;
+mod frame_check;
+/// What is asked of Linux: real-time threads, locked memory, idle processes.
+pub mod host;
+mod input_edge;
+pub mod layout;
+/// Which trigger a frame belongs to, by two witnesses.
+pub mod matcher;
+mod metadata;
+mod noted;
+mod open_chunk;
+mod partial;
+mod protobuf;
+mod reader;
+pub mod recover;
+pub mod remark;
+mod scan;
+mod segment;
+mod segment_file;
+mod session;
+mod simultaneous;
+mod statistics;
+mod time_code;
+mod time_scale;
+mod topic;
+mod trigger_times;
+mod unfinished;
+mod verdict;
+pub mod verify;
+
+mod writer;
+
+pub use action_counts::{ACTION_COMMANDS, ActionCounts};
+pub use advice::Advice;
+pub use direct_io::{free_bytes, survive_file_limit};
+pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
+pub use input_edge::InputEdge;
+pub use layout::{
+    ACTION_UNIT, ACTIONS_AT_ONCE, CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS,
+    NOT_ASKED, NodeEvent, PTP_STATUS, RecordingHeader, TriggerRecord, WarmUp, ptp_keeps,
+};
+pub use noted::{Noted, SETTING_CHANGED, UNCONFIRMED};
+pub use partial::{copy_frames, is_segment};
+pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};
+pub use segment_file::BadRange;
+pub use session::{SessionReader, Unreadable, node_dir, open_each};
+pub use simultaneous::{NOT_SIMULTANEOUS, NotSimultaneous, TriggerRow, TriggerRows};
+pub use statistics::{DiskAccess, DiskProgress, WriteStatistics};
+pub use time_code::{HeardTimeCode, TimeCodeAt, TimeCodeLine};
+pub use time_scale::{ScaleFound, TimeScale};
+pub use unfinished::{Interrupted, interrupted};
+pub use verdict::{CameraTally, CameraVerdict, SessionEnd, Status, Verdict};
+pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

@@ -1,0 +1,406 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Counting outcomes: which triggers of a camera have one, and what a session amounts to at its end.
+
+use super::advice::{Advice, Rhythm};
+use super::layout::{GapCause, MAX_TRIGGERS, RecordingHeader};
+use super::noted::Noted;
+use crate::base::ids::{CameraId, TriggerIndex};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::ops::Range;
+
+/// What a session amounts to, from the best to the worst.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// Every camera has a frame for every trigger that was asked for.
+    Complete,
+    /// As [`Self::Complete`], but of some frames one witness alone says which trigger they are of, or how they were taken
+    /// is in doubt: a camera's settings changed, or exposures of a trigger were not at one time.
+    Unconfirmed,
+    /// Something is missing, and it is known what and why.
+    Incomplete,
+    /// The session was aborted; what was recorded until then is accounted for.
+    Aborted,
+}
+
+impl Status {
+    /// As people and scripts read it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Complete => "complete",
+            Self::Unconfirmed => "unconfirmed",
+            Self::Incomplete => "incomplete",
+            Self::Aborted => "aborted",
+        }
+    }
+}
+
+/// One camera's outcomes.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+pub struct CameraVerdict {
+    /// The camera.
+    #[cfg_attr(feature = "schema", schema(value_type = String))]
+    pub camera: CameraId,
+    /// Triggers with a frame.
+    pub frames: u64,
+    /// Triggers with a gap record, by cause.
+    #[cfg_attr(feature = "schema", schema(value_type = BTreeMap<String, u64>))]
+    pub gaps: BTreeMap<GapCause, u64>,
+}
+
+impl CameraVerdict {
+    /// Triggers with a gap record.
+    pub fn gap_count(&self) -> u64 {
+        // The counts may come from a file.
+        self.gaps.values().fold(0, |sum, count| sum.saturating_add(*count))
+    }
+}
+
+/// What one node's recording amounts to.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+pub struct Verdict {
+    /// In one word.
+    pub status: Status,
+    /// Triggers of the session: every camera has this many outcomes.
+    pub triggers: u64,
+    /// Triggers asked for.
+    pub triggers_expected: Option<u64>,
+    /// Triggers that the HSU reports to have emitted; `None` when the report is missing.
+    pub triggers_emitted: Option<u64>,
+    /// Per camera, in the recording's order.
+    pub cameras: Vec<CameraVerdict>,
+    /// Outcomes that were refused: a second one for a trigger, or one that lies outside the session. Each
+    /// is an event in the recording.
+    pub refused: u64,
+    /// Cameras of which one witness alone says which trigger some frames are of. Each is an event in the recording.
+    #[serde(default)]
+    pub unconfirmed: u64,
+    /// Settings that were not as they had been set when the session ended, each with its camera.
+    #[serde(default)]
+    pub changed: Vec<String>,
+    /// Exposures that were not at the time of the others: camera, triggers and reason, a line each.
+    #[serde(default)]
+    pub not_simultaneous: Vec<String>,
+    /// Why the session was aborted.
+    pub aborted: Option<String>,
+    /// What the pattern of the gaps shows, and what to do about it. Never read from a file: it is found from its records.
+    #[serde(default, skip_deserializing, skip_serializing_if = "Advice::is_empty")]
+    #[cfg_attr(feature = "schema", schema(value_type = Vec<String>))]
+    pub advice: Advice,
+}
+
+impl Verdict {
+    /// Frames of all cameras.
+    pub fn frames(&self) -> u64 {
+        self.cameras.iter().fold(0, |sum, camera| sum.saturating_add(camera.frames))
+    }
+
+    /// Gap records of all cameras.
+    pub fn gaps(&self) -> u64 {
+        self.cameras.iter().fold(0, |sum, camera| sum.saturating_add(camera.gap_count()))
+    }
+
+    /// How many triggers a session had: what was seen, reported or counted, whichever is most.
+    pub fn triggers(tallies: &[CameraTally], reported: u64, end: &SessionEnd) -> u64 {
+        let seen = tallies.iter().map(|tally| tally.seen().end()).max().unwrap_or(0);
+        seen.max(reported).max(end.triggers_emitted.unwrap_or(0)).min(MAX_TRIGGERS)
+    }
+
+    /// The verdict on what was counted.
+    pub fn of(
+        header: &RecordingHeader,
+        tallies: &[CameraTally],
+        triggers: u64,
+        noted: Noted,
+        end: SessionEnd,
+    ) -> Self {
+        let named = header.cameras.iter().zip(tallies);
+        let cameras: Vec<CameraVerdict> = named.map(|(camera, tally)| tally.verdict(&camera.id)).collect();
+        let mut verdict = Self {
+            status: Status::Incomplete,
+            triggers,
+            triggers_expected: header.expected_triggers,
+            triggers_emitted: end.triggers_emitted,
+            advice: Advice::of(tallies.iter().map(CameraTally::rhythm).zip(&cameras)),
+            cameras,
+            refused: noted.refused,
+            unconfirmed: noted.unconfirmed,
+            changed: noted.changed,
+            not_simultaneous: noted.not_simultaneous.lines(),
+            aborted: end.aborted,
+        };
+        verdict.status = verdict.judge();
+        verdict
+    }
+
+    /// Derives the status from everything else.
+    pub fn judge(&self) -> Status {
+        let asked = self.triggers_expected.is_none_or(|n| n == self.triggers);
+        let counted = self.triggers_emitted == Some(self.triggers);
+        if self.aborted.is_some() {
+            Status::Aborted
+        } else if asked && counted && self.gaps() == 0 && self.refused == 0 {
+            if self.unconfirmed == 0 && self.changed.is_empty() && self.not_simultaneous.is_empty() {
+                Status::Complete
+            } else {
+                Status::Unconfirmed
+            }
+        } else {
+            Status::Incomplete
+        }
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let word = self.status.word();
+        let (triggers, frames, gaps) = (self.triggers, self.frames(), self.gaps());
+        write!(f, "{word}: {triggers} triggers, {frames} frames, {gaps} gaps")?;
+        match (self.triggers_expected, self.triggers_emitted) {
+            (Some(n), _) if n != triggers => write!(f, " ({n} triggers were asked for)")?,
+            (_, None) => write!(f, " (the HSU's count is missing)")?,
+            (_, Some(n)) if n != triggers => write!(f, " (the HSU counted {n})")?,
+            _ => {}
+        }
+        if self.refused > 0 {
+            write!(f, "; {} outcomes refused", self.refused)?;
+        }
+        if self.unconfirmed > 0 {
+            let cameras = self.unconfirmed;
+            write!(f, "; of {cameras} cameras one witness alone says which trigger some frames are of")?;
+        }
+        if !self.changed.is_empty() {
+            write!(f, "; settings changed while it ran: {}", self.changed.join("; "))?;
+        }
+        if !self.not_simultaneous.is_empty() {
+            write!(f, "; not simultaneous with the others: {}", self.not_simultaneous.join("; "))?;
+        }
+        if let Some(reason) = &self.aborted {
+            write!(f, "; {reason}")?;
+        }
+        for camera in self.cameras.iter().filter(|camera| !camera.gaps.is_empty()) {
+            write!(f, "\n  {}: {} frames", camera.camera, camera.frames)?;
+            for (cause, count) in &camera.gaps {
+                write!(f, ", {count} {cause}")?;
+            }
+        }
+        self.advice.0.iter().try_for_each(|line| write!(f, "\n  {line}"))
+    }
+}
+
+/// How a session ended, as the one who ran it knows.
+#[derive(Debug, Clone)]
+pub struct SessionEnd {
+    /// Triggers that the HSU reports to have emitted.
+    pub triggers_emitted: Option<u64>,
+    /// Why the session was aborted, if it was.
+    pub aborted: Option<String>,
+    /// Cause of the gap records for outcomes that are still absent.
+    pub absent: GapCause,
+    /// When, host clock, ns.
+    pub host_time_ns: u64,
+}
+
+/// A set of trigger indexes as disjoint ranges: its size is that of the disorder, not of the session.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct TriggerSet {
+    /// Start to end (exclusive); neighbours never touch.
+    ranges: BTreeMap<u64, u64>,
+}
+
+impl TriggerSet {
+    /// Adds an index; `false` when it was there. Indexes from [`MAX_TRIGGERS`] on are never added.
+    pub fn insert(&mut self, index: u64) -> bool {
+        if index >= MAX_TRIGGERS {
+            return false;
+        }
+        let before = self.ranges.range(..=index).next_back().map(|(&start, &end)| (start, end));
+        let start = match before {
+            Some((_, end)) if end > index => return false,
+            Some((start, end)) if end == index => start,
+            _ => index,
+        };
+        let end = self.ranges.remove(&(index + 1)).unwrap_or(index + 1);
+        self.ranges.insert(start, end);
+        true
+    }
+
+    /// Takes an index out again; `false` when it was not there.
+    pub fn remove(&mut self, index: u64) -> bool {
+        let Some((&start, &end)) = self.ranges.range(..=index).next_back() else { return false };
+        if end <= index {
+            return false;
+        }
+        self.ranges.remove(&start);
+        if start < index {
+            self.ranges.insert(start, index);
+        }
+        if index + 1 < end {
+            self.ranges.insert(index + 1, end);
+        }
+        true
+    }
+
+    /// One more than the highest index; 0 when there is none.
+    pub fn end(&self) -> u64 {
+        self.ranges.last_key_value().map_or(0, |(_, &end)| end)
+    }
+
+    /// Whether all indexes of 0 to `end` are there.
+    pub fn covers(&self, end: u64) -> bool {
+        end == 0 || self.ranges.get(&0).is_some_and(|&first| first >= end)
+    }
+
+    /// The ranges of 0 to `end` that are absent.
+    pub fn absent(&self, end: u64) -> Vec<Range<u64>> {
+        let mut absent = Vec::new();
+        let mut next = 0;
+        for (&start, &stop) in self.ranges.range(..end) {
+            if next < start {
+                absent.push(next..start);
+            }
+            next = stop;
+        }
+        if next < end {
+            absent.push(next..end);
+        }
+        absent
+    }
+}
+
+/// Outcomes of one camera so far.
+#[derive(Debug, Clone, Default)]
+pub struct CameraTally {
+    seen: TriggerSet,
+    frames: u64,
+    gaps: BTreeMap<GapCause, u64>,
+    rhythm: Rhythm,
+}
+
+impl CameraTally {
+    /// Notes a frame; `false` when the trigger has an outcome already.
+    pub fn frame(&mut self, trigger: TriggerIndex) -> bool {
+        let fresh = self.seen.insert(trigger.0);
+        self.frames += u64::from(fresh);
+        if fresh {
+            self.rhythm.frame(trigger.0);
+        }
+        fresh
+    }
+
+    /// Notes a gap; `false` when the trigger has an outcome already.
+    pub fn gap(&mut self, trigger: TriggerIndex, cause: GapCause) -> bool {
+        let fresh = self.seen.insert(trigger.0);
+        if fresh {
+            *self.gaps.entry(cause).or_default() += 1;
+            self.rhythm.gap(trigger.0, cause);
+        }
+        fresh
+    }
+
+    /// In which order they came.
+    pub(crate) fn rhythm(&self) -> &Rhythm {
+        &self.rhythm
+    }
+
+    /// Takes back a frame that did not reach the disk.
+    pub fn forget_frame(&mut self, trigger: TriggerIndex) {
+        if self.seen.remove(trigger.0) {
+            self.frames = self.frames.saturating_sub(1);
+        }
+    }
+
+    /// The triggers with an outcome.
+    pub fn seen(&self) -> &TriggerSet {
+        &self.seen
+    }
+
+    /// The counts.
+    pub fn verdict(&self, camera: &CameraId) -> CameraVerdict {
+        CameraVerdict { camera: camera.clone(), frames: self.frames, gaps: self.gaps.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Advice, Noted, Status, TriggerSet, Verdict};
+    use crate::base::ids::CameraId;
+    use crate::layout::NodeEvent;
+    use crate::{SETTING_CHANGED, TriggerRow};
+    use proptest::prelude::*;
+    use std::collections::BTreeSet;
+
+    proptest! {
+        #[test]
+        fn a_trigger_set_is_a_set(steps in prop::collection::vec((0u64..60, any::<bool>()), 0..200), end in 0u64..70) {
+            let (mut set, mut model) = (TriggerSet::default(), BTreeSet::new());
+            for (index, add) in steps {
+                if add {
+                    prop_assert_eq!(set.insert(index), model.insert(index));
+                } else {
+                    prop_assert_eq!(set.remove(index), model.remove(&index));
+                }
+            }
+            prop_assert_eq!(set.end(), model.last().map_or(0, |last| last + 1));
+            prop_assert_eq!(set.covers(end), (0..end).all(|i| model.contains(&i)));
+            let absent: Vec<u64> = set.absent(end).into_iter().flatten().collect();
+            let expected: Vec<u64> = (0..end).filter(|i| !model.contains(i)).collect();
+            prop_assert_eq!(absent, expected);
+        }
+    }
+
+    #[test]
+    fn a_setting_that_changed_and_exposures_apart_are_in_the_verdict_by_name() {
+        let mut noted = Noted::default();
+        let event = |kind: &str| NodeEvent {
+            host_time_ns: 0,
+            kind: kind.to_owned(),
+            camera: Some(CameraId::from("h0_up")),
+            trigger: None,
+            message: "Gain was 0, is 6".to_owned(),
+        };
+        let verdict = |noted: &Noted| Verdict {
+            status: Status::Incomplete,
+            triggers: 3,
+            triggers_expected: Some(3),
+            triggers_emitted: Some(3),
+            cameras: Vec::new(),
+            refused: 0,
+            unconfirmed: 0,
+            changed: noted.changed.clone(),
+            not_simultaneous: noted.not_simultaneous.lines(),
+            aborted: None,
+            advice: Advice::default(),
+        };
+        noted.note(&event("camera_setting"));
+        assert_eq!(verdict(&noted).judge(), Status::Complete);
+        (0..100).for_each(|_| noted.note(&event(SETTING_CHANGED)));
+        assert_eq!(verdict(&noted).judge(), Status::Unconfirmed);
+        assert!(verdict(&noted).to_string().contains("h0_up: Gain was 0, is 6"));
+        assert_eq!(noted.changed.len(), 16, "bounded");
+
+        let mut noted = Noted::default();
+        noted.note(&TriggerRow::all(11, 13).event(CameraId::from("h1_low"), "it came late", 0));
+        assert_eq!(verdict(&noted).judge(), Status::Unconfirmed);
+        let text = verdict(&noted).to_string();
+        assert!(
+            text.contains("not simultaneous with the others: h1_low, triggers 11 to 13: it came late"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn its_size_is_that_of_the_disorder() {
+        let mut set = TriggerSet::default();
+        for index in (0..10_000u64).map(|i| i ^ 3) {
+            assert!(set.insert(index));
+            assert!(set.ranges.len() <= 3);
+        }
+        assert_eq!((set.ranges.len(), set.end()), (1, 10_000));
+    }
+}

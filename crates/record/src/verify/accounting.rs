@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The accounting: outcomes counted again, and the trigger table.
+
+use super::{Notes, Severity};
+use crate::advice::Advice;
+use crate::layout::{GapCause, MAX_TRIGGERS};
+use crate::noted::{Noted, REFUSED, SETTING_CHANGED, UNCONFIRMED};
+use crate::reader::{Outcome, RecordingReader};
+use crate::simultaneous::TriggerRow;
+use crate::verdict::{Status, Verdict};
+
+/// The verdict as the records have it. What records cannot show (the HSU's count, why it was aborted) comes
+/// from the stored one.
+pub fn recount(recording: &RecordingReader) -> Verdict {
+    let stored = recording.verdict.as_ref();
+    let emitted = stored.and_then(|verdict| verdict.triggers_emitted);
+    let mut noted = Noted::default();
+    recording.events.iter().for_each(|event| noted.note(event));
+    let mut verdict = Verdict {
+        status: Status::Incomplete,
+        triggers: recording.known_end().max(emitted.unwrap_or(0)),
+        triggers_expected: recording.header.expected_triggers,
+        triggers_emitted: emitted,
+        cameras: recording.counted(),
+        refused: noted.refused,
+        unconfirmed: noted.unconfirmed,
+        changed: noted.changed,
+        not_simultaneous: noted.not_simultaneous.lines(),
+        aborted: stored.and_then(|verdict| verdict.aborted.clone()),
+        advice: Advice::of_recording(recording),
+    };
+    verdict.status = verdict.judge();
+    verdict
+}
+
+/// Compares the accounting with what was stored and with itself.
+pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) {
+    if let Some(first) = recording.segments.first().filter(|segment| segment.number != 0) {
+        let message = format!("expected segment 0 first, found segment {}", first.number);
+        notes.add(Severity::Corrupt, None, None, None, message);
+    }
+    match &recording.verdict {
+        None => {
+            let message = "no verdict: the recording was not finished; run `fourdbody recover`";
+            notes.add(Severity::Corrupt, None, None, None, message);
+        }
+        Some(stored) if stored != verdict => {
+            let message = format!(
+                "the stored verdict is not what the records say; stored: {stored}; counted: {verdict}"
+            );
+            notes.add(Severity::Corrupt, None, None, None, message);
+        }
+        Some(_) => {}
+    }
+    if !recording.belonging.is_witnessed() {
+        let message = "its records do not say which session they are of, as those of earlier versions: that none of \
+                       another session is among them rests on the headers alone";
+        notes.add(Severity::Note, None, None, None, message);
+    }
+    for range in recording.numbers.absent(recording.numbered().min(MAX_TRIGGERS)) {
+        let message = format!(
+            "{} small records are missing (rows of the trigger table, gap records, samples or events), numbers {} to {}",
+            range.end - range.start,
+            range.start,
+            range.end - 1
+        );
+        notes.add(Severity::Corrupt, None, None, None, message);
+    }
+    if verdict.status == Status::Aborted || verdict.triggers_expected.is_some_and(|n| n != verdict.triggers) {
+        let first_line = verdict.to_string().lines().next().unwrap_or_default().to_owned();
+        notes.add(Severity::Loss, None, None, None, first_line);
+    }
+    if verdict.triggers_emitted.is_some_and(|n| n < verdict.triggers) {
+        let (triggers, emitted) = (verdict.triggers, verdict.triggers_emitted.unwrap_or(0));
+        let message = format!("outcomes for {triggers} triggers, but the HSU emitted {emitted}");
+        notes.add(Severity::Corrupt, None, None, None, message);
+    } else if verdict.triggers_emitted.is_none() && recording.verdict.is_some() {
+        notes.add(Severity::Loss, None, None, None, "the HSU's trigger count is missing");
+    }
+    for event in &recording.events {
+        let trigger = event.trigger.map(|t| (t.0, t.0));
+        let severity = match event.kind.as_str() {
+            REFUSED => Some(Severity::Loss),
+            UNCONFIRMED | SETTING_CHANGED => Some(Severity::Unconfirmed),
+            _ => None,
+        };
+        if let Some(severity) = severity {
+            notes.add(severity, None, event.camera.as_ref(), trigger, &event.message);
+        }
+        if let Some((row, why)) = TriggerRow::of(event) {
+            let triggers = Some((row.first, row.last));
+            let whole = row == TriggerRow::all(row.first, row.last);
+            let some = if whole { String::new() } else { format!("{} of these are ", row.count) };
+            let message = format!("{some}not simultaneous with the others: {why}");
+            notes.add(Severity::Unconfirmed, None, event.camera.as_ref(), triggers, message);
+        }
+    }
+    for camera in 0..recording.outcomes.len() {
+        check_outcomes(recording, camera, verdict.triggers, notes);
+    }
+    check_table(recording, verdict.triggers, notes);
+}
+
+/// A line for each run of triggers with the same cause, and for each run without any outcome.
+fn check_outcomes(recording: &RecordingReader, camera: usize, triggers: u64, notes: &mut Notes) {
+    let (Some(outcomes), Some(described)) =
+        (recording.outcomes.get(camera), recording.header.cameras.get(camera))
+    else {
+        return;
+    };
+    let mut absent = |first: u64, last: u64| {
+        let message = "neither a frame nor a gap record";
+        notes.add(Severity::Corrupt, None, Some(&described.id), Some((first, last)), message);
+    };
+    let mut runs: Vec<(GapCause, u64, u64)> = Vec::new();
+    let mut next = 0;
+    for (&trigger, outcome) in outcomes {
+        if next < trigger {
+            absent(next, trigger - 1);
+        }
+        next = trigger + 1;
+        if let Outcome::Gap(cause) = *outcome {
+            match runs.last_mut() {
+                Some((of, _, last)) if *of == cause && *last + 1 == trigger => *last = trigger,
+                _ => runs.push((cause, trigger, trigger)),
+            }
+        }
+    }
+    if next < triggers {
+        absent(next, triggers - 1);
+    }
+    for (cause, first, last) in runs {
+        let message = format!("gap: {cause}");
+        notes.add(Severity::Loss, None, Some(&described.id), Some((first, last)), message);
+    }
+}
+
+/// The trigger table has a row for every trigger. Imported images have no table.
+fn check_table(recording: &RecordingReader, triggers: u64, notes: &mut Notes) {
+    if recording.header.hsu.is_none() {
+        return;
+    }
+    let table = &recording.triggers;
+    let mut next = 0;
+    for index in table.keys().map(|index| index.0).chain([triggers]).filter(|index| *index <= triggers) {
+        if next < index {
+            let message = "no row in the HSU's trigger table";
+            notes.add(Severity::Loss, None, None, Some((next, index - 1)), message);
+        }
+        next = index.saturating_add(1);
+    }
+}

@@ -1,0 +1,579 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Whether each frame is its trigger's: what its sources say, heard from the raw samples (`docs/design/recording.md`, V1 to
+//! V8).
+//!
+//! Frames in a row whose ids and stamps go on as their triggers do are judged together, in **parts**. Of each part the
+//! counter (ids) and the clock (stamps, by the recorded readings) confirm its triggers, contradict them, or say nothing;
+//! arrivals refute what would have come too early, and decide between the two where they are in time.
+
+use super::explained::Explained;
+use super::header::severity;
+use super::readings::Readings;
+use super::rhythm;
+use super::rows::{Late, Rows, Wrong, range_of};
+use super::table::{Table, ms, note_readings, number};
+use super::{Notes, Severity};
+use crate::base::ids::{CameraId, TriggerIndex};
+use crate::layout::WarmUp;
+use crate::matcher::block_ids::BlockIds;
+use crate::reader::RecordingReader;
+use std::collections::BTreeMap;
+
+/// What a frame itself says of its instant.
+#[derive(Debug, Clone, Copy)]
+pub struct Seen {
+    /// Block id.
+    pub block: u64,
+    /// Camera clock, ns; 0 without a timestamp.
+    pub camera_ns: u64,
+    /// Arrival, host clock, ns.
+    pub host_ns: u64,
+}
+
+/// By trigger.
+pub type Times = BTreeMap<u64, Seen>;
+
+/// A frame with its trigger's number (negative in the warm-up), and when that trigger was fired, HSU clock, ns.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame {
+    /// The trigger's number.
+    pub number: i64,
+    /// When it was fired.
+    pub hsu_ns: i128,
+    /// What the frame says.
+    pub seen: Seen,
+}
+
+/// Frames that are judged together, at least; with the rest of them at the end fewer than twice as many.
+const PART: usize = 64;
+/// So few frames in a row may have a wrong id or stamp, if those on both sides leave no other triggers for them.
+const PASSING: usize = 8;
+/// Rates of a camera's clock and the HSU's differ by one in so many at most.
+const RATE: i128 = 1_600;
+/// 16-bit ids repeat after so many steps.
+const CYCLE: i64 = 65_535;
+/// Frames that are all late for so long, and so many, are no host that stood still, ns.
+const LATE_NS: i128 = 2_000_000_000;
+
+/// A camera's frames and clocks.
+struct Camera<'a> {
+    id: &'a CameraId,
+    table: &'a Table,
+    readings: Readings,
+    explained: Explained<'a>,
+    /// Whether its frames have timestamps.
+    stamped: bool,
+    /// From the trigger to the stamp, by the readings, ns.
+    delay_ns: Option<i128>,
+}
+
+/// What a source says of the triggers that frames are recorded under.
+type Says = Option<bool>;
+
+/// Frames that are judged together.
+struct Part<'a> {
+    frames: &'a [Frame],
+    /// Whether ids go on from those before them.
+    begins: bool,
+}
+
+/// Which source contradicts.
+struct Told {
+    counter: Says,
+    clock: Says,
+    /// How far ids went beyond triggers.
+    skipped: Option<i64>,
+    /// How far stamps lie from where they should, ns.
+    off_ns: Option<i128>,
+    /// How much later than usual the quickest of them came, ns.
+    late_ns: Option<i128>,
+}
+
+/// Judges all frames, by camera of the header. `whole` is false for a single segment, which has no beginning.
+pub fn check(recording: &RecordingReader, times: &[Times], whole: bool, notes: &mut Notes) {
+    if recording.header.hsu.is_none() {
+        return note_without_hsu(recording, notes);
+    }
+    if recording.outcomes.iter().all(BTreeMap::is_empty) && recording.triggers.is_empty() {
+        return;
+    }
+    let Some(table) = Table::of(recording, notes) else {
+        let message = "neither its header nor a trigger table state when triggers were fired: of all frames only the ids say which trigger they are of";
+        return notes.add(Severity::Unconfirmed, None, None, None, message);
+    };
+    table.check(recording, whole, notes);
+    for (place, (camera, times)) in recording.header.cameras.iter().zip(times).enumerate() {
+        let id = &camera.id;
+        let Some(explained) = Explained::of(recording, place, id, whole) else { continue };
+        let samples = recording.clock_samples.iter().filter(|sample| sample.camera.as_ref() == Some(id));
+        let frames = times.iter().filter_map(|(&trigger, &seen)| {
+            let number = number(TriggerIndex(trigger))?;
+            Some(Frame { number, hsu_ns: table.fired_ns(number)?, seen })
+        });
+        let frames: Vec<Frame> = frames.collect();
+        let warm_up = warm_up_of(recording, id);
+        let stamped = most_stamped(times.values()) || most_stamped(warm_up.iter());
+        let readings = Readings::of(samples);
+        let mut camera = Camera { id, table: &table, readings, explained, stamped, delay_ns: None };
+        camera.note_untimed(times, frames.len(), notes);
+        camera.check(&warm_up, frames, whole, notes);
+    }
+}
+
+/// Images that were imported, or recorded without a trigger unit.
+fn note_without_hsu(recording: &RecordingReader, notes: &mut Notes) {
+    let warm_up = recording.events.iter().any(|event| WarmUp::of(event).is_some());
+    if !recording.triggers.is_empty() || !recording.clock_samples.is_empty() || warm_up {
+        let message = "its header names no HSU, but there are trigger times or readings of clocks";
+        return notes.add(severity(recording), None, None, None, message);
+    }
+    let message = "imported: that images of one index are of one instant rests on their files' names alone";
+    notes.add(Severity::Note, None, None, None, message);
+}
+
+/// Whether most of a camera's frames have a timestamp.
+fn most_stamped<'a>(seen: impl Iterator<Item = &'a Seen>) -> bool {
+    let (stamped, all) =
+        seen.fold((0, 0), |(stamped, all), seen| (stamped + usize::from(seen.camera_ns != 0), all + 1));
+    stamped * 2 > all
+}
+
+/// What was seen of a camera in the warm-up, in the order of arrival.
+fn warm_up_of(recording: &RecordingReader, id: &CameraId) -> Vec<Seen> {
+    let own = recording.events.iter().filter(|event| event.camera.as_ref() == Some(id));
+    let frame = |sample| match sample {
+        WarmUp::Frame { block, camera_time_ns, host_time_ns } => {
+            Some(Seen { block, camera_ns: camera_time_ns, host_ns: host_time_ns })
+        }
+        WarmUp::Trigger { .. } => None,
+    };
+    own.filter_map(WarmUp::of).filter_map(frame).collect()
+}
+
+impl Camera<'_> {
+    fn note_untimed(&self, times: &Times, timed: usize, notes: &mut Notes) {
+        if timed < times.len() {
+            let message = format!(
+                "{} frames are of triggers whose time is not known: only their ids say which trigger they are of",
+                times.len() - timed
+            );
+            notes.add(Severity::Unconfirmed, None, Some(self.id), None, message);
+        }
+    }
+
+    fn check(&mut self, seen: &[Seen], recorded: Vec<Frame>, whole: bool, notes: &mut Notes) {
+        note_readings(&self.readings, Some(self.id), "its clock", notes);
+        let Some(range) = range_of(&recorded) else { return };
+        if let Some((at, by)) = self.readings.settings().next().filter(|_| !self.explained.clock_set()) {
+            let message = format!(
+                "its clock was set by {:.3} ms at {at} ns of the host's clock, by its readings, and nothing says so",
+                ms(by)
+            );
+            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
+        }
+        if self.stamped
+            && self.readings.epochs.is_empty()
+            && !self.table.readings.epochs.is_empty()
+            && !self.explained.has_no_clock()
+        {
+            let message = "its clock was never read, and no record says that it cannot be: what its timestamps are of rests \
+                           on the warm-up alone";
+            notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
+        }
+        self.check_order(&recorded, notes);
+        let begin = rhythm::warm_up(seen, self.table);
+        let began = begin.len();
+        let frames: Vec<Frame> = begin.into_iter().chain(recorded).collect();
+        let reference = &frames[..if began > 0 { began } else { frames.len().min(PART) }];
+        self.delay_ns = middle(reference.iter().filter_map(|frame| self.stamped_after(frame)).collect());
+        if whole || began > 0 {
+            self.check_place(reference, began > 0, range, notes);
+        }
+        self.judge(&frames, began, notes);
+    }
+
+    /// When a trigger was fired, host clock, and what is open, ns.
+    fn fired(&self, frame: &Frame) -> Option<(i128, i128)> {
+        let found = self.table.host_time(frame.hsu_ns, frame.number)?;
+        Some((found.ns, found.open_ns))
+    }
+
+    /// From a trigger to the frame's arrival, and what is open, ns.
+    fn arrived_after(&self, frame: &Frame) -> Option<(i128, i128)> {
+        let (fired, open) = self.fired(frame)?;
+        Some((i128::from(frame.seen.host_ns) - fired, open))
+    }
+
+    /// From a trigger to the frame's stamp, by the first readings that were in force, ns.
+    fn stamped_after(&self, frame: &Frame) -> Option<i128> {
+        let (fired, open) = self.fired(frame)?;
+        let camera_ns = i128::from(frame.seen.camera_ns);
+        let mut found = self.readings.host_times(camera_ns, frame.seen.host_ns.into());
+        let found = found.find(|found| found.open_ns + open < self.table.period_ns / 4);
+        found.filter(|_| camera_ns != 0).map(|found| found.ns - fired)
+    }
+
+    /// How far the middle of frames' stamps lies from the usual delay beyond what the readings leave open, ns; `None` where
+    /// the readings say nothing.
+    fn off_by_readings(&self, frames: &[Frame]) -> Option<i128> {
+        let usual = self.delay_ns?;
+        let off = |frame: &Frame| {
+            let (fired, open_hsu) = self.fired(frame)?;
+            let camera_ns = i128::from(frame.seen.camera_ns);
+            let found = self.readings.host_times(camera_ns, frame.seen.host_ns.into());
+            let off = found.filter_map(|found| {
+                let open = found.open_ns + open_hsu;
+                let off = found.ns - fired - usual;
+                (open < self.table.period_ns / 2).then_some(off.signum() * (off.abs() - open).max(0))
+            });
+            off.min_by_key(|ns| ns.abs()).filter(|_| camera_ns != 0)
+        };
+        middle(frames.iter().filter_map(off).collect())
+    }
+
+    /// Frames of one camera arrive in the order of their triggers, and none before its own.
+    fn check_order(&self, frames: &[Frame], notes: &mut Notes) {
+        let slack = self.table.period_ns / 8;
+        // So long after everything else no frame is taken any more, ns.
+        const BEHIND_NS: i128 = 10_000_000_000;
+        let (mut early, mut back, mut behind) = (Rows::default(), Rows::default(), Rows::default());
+        let mut latest = 0;
+        for frame in frames {
+            if let Some((way, open)) = self.arrived_after(frame)
+                && way + open + slack < 0
+            {
+                early.add(frame.number, way);
+            }
+            // Frames that waited together come at once, and a thread that reads a clock may stand still.
+            let arrived = i128::from(frame.seen.host_ns);
+            if arrived + self.table.period_ns / 2 < latest {
+                back.add(frame.number, arrived - latest);
+            }
+            latest = arrived.max(latest);
+            if arrived > self.table.last_ns + BEHIND_NS {
+                behind.add(frame.number, arrived - self.table.last_ns);
+            }
+        }
+        for (range, by) in behind.0 {
+            let message = format!(
+                "not the frames of this session: arrived {:.3} ms after everything else was recorded",
+                ms(by)
+            );
+            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
+        }
+        for (range, way) in early.0 {
+            let message = format!(
+                "not the frames of these triggers: arrived {:.3} ms before the trigger was fired",
+                ms(-way)
+            );
+            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
+        }
+        for (range, by) in back.0 {
+            let message = format!(
+                "arrived {:.3} ms before a frame of an earlier trigger: one of them is not of its trigger",
+                ms(-by)
+            );
+            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
+        }
+    }
+
+    /// The beginning: a stamp lies between trigger and arrival, and the rhythm of the warm-up tells which trigger it is. Where
+    /// it is not heard, that a camera stamps within a period is assumed.
+    fn check_place(&self, reference: &[Frame], heard: bool, range: (u64, u64), notes: &mut Notes) {
+        let period = self.table.period_ns;
+        let arrived =
+            reference.iter().filter_map(|frame| self.arrived_after(frame)).map(|(way, _)| way).min();
+        if let Some(delay) = self.delay_ns {
+            let slack = period / 4;
+            if delay < -slack || arrived.is_some_and(|way| delay > way + slack) {
+                let message = format!(
+                    "its timestamps are not of the clock whose readings are recorded: by them they lie {:.3} ms after the \
+                     triggers{}",
+                    ms(delay),
+                    arrived.map_or(String::new(), |way| format!(
+                        ", and frames arrive {:.3} ms after them",
+                        ms(way)
+                    ))
+                );
+                notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
+            } else if !heard && delay > period * 7 / 8 {
+                let message = format!(
+                    "its frames were exposed {:.3} ms after their triggers, by the recorded readings of both clocks: not \
+                     the frames of these triggers",
+                    ms(delay)
+                );
+                notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
+            }
+        }
+        if !heard {
+            let message = if self.delay_ns.is_some() {
+                "the rhythm of the warm-up is not heard in its frames: its place in the train rests on its clock, and on the \
+                 assumption that it stamps and sends within a period of a trigger"
+            } else {
+                "the rhythm of the warm-up is not heard in its frames, and its clock was not read: its place in the train \
+                 rests on its ids alone"
+            };
+            notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
+        }
+    }
+
+    /// Whether two frames follow each other by the camera's clock as their triggers do by the HSU's; `None` where that is
+    /// not to be told.
+    fn follows(&self, before: &Frame, frame: &Frame) -> Says {
+        let hsu = frame.hsu_ns - before.hsu_ns;
+        let allowed = self.table.period_ns / 4 + hsu.abs() / RATE;
+        let stamped = before.seen.camera_ns != 0 && frame.seen.camera_ns != 0;
+        (stamped && allowed <= self.table.period_ns / 2).then(|| {
+            let camera = i128::from(frame.seen.camera_ns) - i128::from(before.seen.camera_ns);
+            (camera - hsu).abs() <= allowed
+        })
+    }
+
+    /// Frames in a row whose ids and stamps go on, in parts.
+    fn parts<'f>(&self, frames: &'f [Frame], began: usize) -> Vec<Part<'f>> {
+        let mut parts = Vec::new();
+        let mut start = 0;
+        // The last frame with a stamp.
+        let mut stamped: Option<&Frame> = None;
+        for end in 1..=frames.len() {
+            let last = &frames[end - 1];
+            stamped = if last.seen.camera_ns != 0 { Some(last) } else { stamped };
+            let goes_on = frames.get(end).is_some_and(|next| {
+                let follows = stamped.is_none_or(|stamped| self.follows(stamped, next) != Some(false));
+                end != began && skipped(last, next) == 0 && follows
+            });
+            if goes_on {
+                continue;
+            }
+            let run = &frames[start..end];
+            let count = (run.len() / PART).max(1);
+            for place in 0..count {
+                let to = if place + 1 == count { run.len() } else { (place + 1) * PART };
+                parts.push(Part { frames: &run[place * PART..to], begins: place > 0 });
+            }
+            (start, stamped) = (end, None);
+        }
+        parts
+    }
+
+    fn judge(&self, frames: &[Frame], began: usize, notes: &mut Notes) {
+        let parts = self.parts(frames, began);
+        // The last frame whose trigger is known, by its id and by its stamp.
+        let (mut counted, mut clocked): (Option<Frame>, Option<Frame>) = (None, None);
+        // The quickest way of frames that ids and stamps confirm: arrivals err towards late.
+        let mut usual = parts.first().and_then(|first| self.usual_arrival(first.frames));
+        // The same of so many frames in a row that no host stood still for all of them.
+        let mut proven: Option<i128> = None;
+        let (mut late, mut wrong, mut single) = (Late::default(), Wrong::default(), Wrong::default());
+        for (place, part) in parts.iter().enumerate() {
+            let told = self.told(part, counted, clocked, usual, place == 0);
+            let next = parts.get(place + 1).and_then(|next| next.frames.first());
+            let enclosed = part.frames.len() <= PASSING
+                && counted.zip(next).is_some_and(|(before, next)| skipped(&before, next) == 0)
+                && clocked.zip(next).is_some_and(|(before, next)| self.follows(&before, next) == Some(true));
+            let ends = part.frames.first().zip(part.frames.last());
+            let Some((first, last)) = ends else { continue };
+            let before = counted.map_or(first.number - 1, |frame| frame.number);
+            let accepted = self.accept(part, &told, before, enclosed, (&mut wrong, &mut single));
+            late.add(part.frames, accepted && told.late_ns.is_some_and(|ns| ns > self.table.period_ns / 2));
+            if accepted {
+                counted = Some(*last);
+                if (told.counter, told.clock) == (Some(true), Some(true)) {
+                    let own = self.usual_arrival(part.frames);
+                    let early = |(own, proven): (i128, i128)| own - proven < -self.table.period_ns * 3 / 4;
+                    if let Some(range) = range_of(part.frames).filter(|_| own.zip(proven).is_some_and(early))
+                    {
+                        let message =
+                            "arrive a period earlier than the frames before: arrivals do not confirm them";
+                        single.add(range, || message.to_owned());
+                    }
+                    usual = usual.into_iter().chain(own).min();
+                    if part.frames.len() >= PART && proven.is_none() {
+                        proven = own;
+                    }
+                }
+                if told.clock != Some(false) || self.explained.clock_set_at(before, first.number) {
+                    let stamped = part.frames.iter().rev().find(|frame| frame.seen.camera_ns != 0);
+                    clocked = stamped.copied().or(clocked);
+                }
+            }
+        }
+        for range in late.long(LATE_NS, PART) {
+            let message = "all of its frames arrive later than at the beginning by more than half a period: arrivals do not confirm them";
+            notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
+        }
+        for (range, message) in wrong.0 {
+            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
+        }
+        for (range, message) in single.0 {
+            notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
+        }
+        self.note_unstamped(frames, notes);
+    }
+
+    /// The usual way to the arrival, ns: that of the quicker frames.
+    fn usual_arrival(&self, frames: &[Frame]) -> Option<i128> {
+        let mut ways: Vec<i128> =
+            frames.iter().filter_map(|frame| self.arrived_after(frame)).map(|(way, _)| way).collect();
+        ways.sort_unstable();
+        ways.get(ways.len() / 16).copied()
+    }
+
+    fn told(
+        &self,
+        part: &Part<'_>,
+        counted: Option<Frame>,
+        clocked: Option<Frame>,
+        usual: Option<i128>,
+        first: bool,
+    ) -> Told {
+        let half = self.table.period_ns / 2;
+        let begin = part.frames.first();
+        let away = counted
+            .zip(begin)
+            .is_some_and(|(before, begin)| self.explained.was_away(before.number, begin.number));
+        let skip = counted.zip(begin).map(|(before, begin)| skipped(&before, begin));
+        let counter = match (skip, away) {
+            (_, true) => None,
+            (Some(skip), false) => Some(skip == 0),
+            // The first part stands where the beginning says.
+            (None, false) => Some(true),
+        };
+        let off_ns = self.off_by_readings(part.frames);
+        let stamped = part.frames.iter().find(|frame| frame.seen.camera_ns != 0);
+        let relative = match (clocked.zip(stamped), first) {
+            (Some((before, frame)), _) => self.follows(&before, frame),
+            (None, true) => stamped.map(|_| true),
+            (None, false) => None,
+        };
+        let absolute = off_ns.map(|off| off.abs() <= half);
+        // A stamp that jumps is off, however little the readings leave to be told.
+        let set = counted.zip(begin).is_some_and(|(before, begin)| {
+            self.explained.clock_set_at(before.number, begin.number)
+                || self.readings.was_set_around(begin.seen.host_ns.into())
+        });
+        let jumped = relative == Some(false) && !part.begins && !away && !set;
+        let clock = match absolute {
+            Some(true) if jumped => Some(false),
+            Some(says) => Some(says),
+            None if away => None,
+            None => relative,
+        };
+        let ways = part.frames.iter().filter_map(|frame| self.arrived_after(frame)).map(|(way, _)| way);
+        let late_ns = ways.min().zip(usual).map(|(way, usual)| way - usual);
+        Told { counter, clock, skipped: skip.filter(|_| !away), off_ns, late_ns }
+    }
+
+    /// Whether a part's triggers are told by two sources, or at least by one; what is not becomes a finding.
+    fn accept(
+        &self,
+        part: &Part<'_>,
+        told: &Told,
+        before: i64,
+        enclosed: bool,
+        (wrong, single): (&mut Wrong, &mut Wrong),
+    ) -> bool {
+        let half = self.table.period_ns / 2;
+        let most = if part.frames.len() <= PASSING { half * 3 / 2 } else { half };
+        let early = told.late_ns.is_some_and(|ns| ns < -half);
+        let in_time = told.late_ns.is_some_and(|ns| (-half..=most).contains(&ns));
+        let decided = in_time || (enclosed && !early);
+        let Some(begin) = part.frames.first() else { return true };
+        let skip = told.skipped.unwrap_or(0);
+        let counts = skip == 0
+            || self.explained.counts(before, begin.number, skip)
+            || (before < 0 && self.may_have_ignored(before, begin.number, skip));
+        // Of ids that fell behind the other explanation is a clock that went ahead: then frames would come early.
+        let borne_out = if skip < 0 { !early } else { decided };
+        let stamps = self.explained.clock_set_at(before, begin.number)
+            || part
+                .frames
+                .iter()
+                .filter(|frame| frame.seen.camera_ns != 0)
+                .all(|frame| self.explained.stamp(frame.number));
+        let (confirmed, possible) = match (told.counter, told.clock) {
+            (Some(true), Some(true)) => (true, true),
+            (Some(true), Some(false)) => (stamps && decided, stamps && !early),
+            (Some(false), Some(true)) => (counts && borne_out, counts && borne_out),
+            (Some(true), None) => (in_time, !early),
+            (Some(false), None) => (false, counts && !early),
+            (None, Some(true)) => (in_time, !early),
+            (None, None) => (false, in_time),
+            (Some(false) | None, Some(false)) => (false, false),
+        };
+        let Some(range) = range_of(part.frames) else { return possible };
+        if possible {
+            if !confirmed {
+                let source = if told.clock == Some(true) { "their timestamps" } else { "their ids" };
+                single.add(range, || format!("of these frames {source} alone say which trigger they are of"));
+            }
+            return true;
+        }
+        wrong.add(range, || self.message(told, counts, stamps));
+        false
+    }
+
+    /// Of triggers of the warm-up, and of those before Record, no gap records tell: as many as lie between may have been
+    /// ignored.
+    fn may_have_ignored(&self, before: i64, number: i64, skip: i64) -> bool {
+        const UNRECORDED: i64 = 64;
+        let between = number.saturating_sub(before).saturating_sub(1);
+        between > UNRECORDED || (skip < 0 && between.saturating_add(skip) >= 0)
+    }
+
+    fn message(&self, told: &Told, counts: bool, stamps: bool) -> String {
+        let off = |ns: Option<i128>| ns.map_or("unknown".to_owned(), |ns| format!("{:.3} ms", ms(ns)));
+        let ids = match told.skipped {
+            None => "count anew".to_owned(),
+            Some(0) => "go on".to_owned(),
+            Some(skip) if counts => format!("went {skip} further than triggers"),
+            Some(skip) => format!("went {skip} further than triggers, and no record says why"),
+        };
+        let clock = match told.clock {
+            Some(true) => "agree".to_owned(),
+            Some(false) if stamps => format!("are off by {}", off(told.off_ns)),
+            Some(false) => format!("are off by {}, and no record says why", off(told.off_ns)),
+            None => "say nothing".to_owned(),
+        };
+        format!(
+            "not the frames of these triggers: their ids {ids}; their timestamps {clock}; the quickest arrives {} later than \
+             usual; expected two sources to agree, within half a period, {:.3} ms",
+            off(told.late_ns),
+            ms(self.table.period_ns / 2)
+        )
+    }
+
+    /// A camera that stamps its frames, and some without a stamp of which nothing says so.
+    fn note_unstamped(&self, frames: &[Frame], notes: &mut Notes) {
+        let without = frames.iter().filter(|frame| {
+            self.stamped
+                && frame.seen.camera_ns == 0
+                && frame.number >= 0
+                && !self.explained.stamp(frame.number)
+        });
+        let mut triggers = Rows::default();
+        without.for_each(|frame| triggers.add(frame.number, 0));
+        for (range, _) in triggers.0 {
+            let message = "have no timestamp, and no record says why; the camera's other frames have";
+            notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
+        }
+    }
+}
+
+/// How many more ids than triggers lie between two frames.
+pub fn skipped(before: &Frame, frame: &Frame) -> i64 {
+    let (from, to) = (before.seen.block, frame.seen.block);
+    let triggers = frame.number.saturating_sub(before.number);
+    let narrow = CYCLE as u64;
+    if from > narrow || to > narrow {
+        return BlockIds::default().between(from, to).saturating_sub(triggers);
+    }
+    // However many triggers lie between: 16-bit ids begin anew.
+    let more = (to as i64 - from as i64 - triggers % CYCLE).rem_euclid(CYCLE);
+    if more > CYCLE / 2 { more - CYCLE } else { more }
+}
+
+fn middle(mut all: Vec<i128>) -> Option<i128> {
+    all.sort_unstable();
+    all.get(all.len() / 2).copied()
+}

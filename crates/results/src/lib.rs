@@ -1,0 +1,17 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A session to a directory of results: planned, resumed, written, exported, spread over a cluster.
+
+#[cfg(test)]
+use fourdbody_core::config;
+use fourdbody_core::{base, data, geometry};
+use fourdbody_reconstruct::{self as reconstruct, merge};
+use fourdbody_record as record;
+
+/// A session reconstructed to a directory of results.
+pub mod batch;
+/// A reconstruction spread over a cluster.
+pub mod cluster;
+/// Clouds, meshes, pictures and tables in the formats of other programs.
+pub mod export;
+/// File formats of clouds for other programs.
+pub mod formats;
