@@ -13,7 +13,8 @@ const TRIGGERS: usize = 256;
 /// A place is found where three quarters of the frames fit, at least so many, and so many more than at any other.
 const ENOUGH: usize = 5;
 const MARGIN: usize = 2;
-/// By arrivals alone all frames but one must fit, and so many more than at any other: a busy host has rhythms of its own.
+/// By arrivals alone all frames but one must fit, three quarters of them as their ids count, and so many more than at any
+/// other: a busy host has rhythms of its own.
 const MARGIN_OF_ARRIVALS: usize = 3;
 /// The frames that a place is tried with: the first may be nobody's.
 const TRIED: usize = 3;
@@ -24,8 +25,10 @@ const LATEST_PERIODS: i128 = 8;
 struct Fit {
     /// From a trigger to what is seen of its frame, ns.
     way_ns: i128,
-    /// Frames with the triggers that they fit.
+    /// Frames with the triggers that they fit, as their ids count them.
     frames: Vec<Frame>,
+    /// How many fit any.
+    fitting: usize,
 }
 
 /// The frames of a camera's warm-up at their triggers; empty where the rhythm is not heard. By arrivals alone it may be heard
@@ -51,21 +54,26 @@ fn heard(seen: &[Seen], stamped: bool, triggers: &[(i64, i128)], table: &Table) 
         for (_, hsu_ns) in triggers {
             let way_ns = first - hsu_ns;
             if fits.iter().all(|fit| (fit.way_ns - way_ns).abs() > table.period_ns / 4) {
-                let frames = fitting(seen, triggers, &at, way_ns, table.period_ns);
+                let all = fitting(seen, triggers, &at, way_ns, table.period_ns);
                 // One that arrives late may fit a later trigger than its own: the count of ids tells.
-                let frames = if stamped { frames } else { counted_alike(&frames) };
-                fits.push(Fit { way_ns, frames });
+                let frames = if stamped { all.clone() } else { counted_alike(&all) };
+                fits.push(Fit { way_ns, frames, fitting: all.len() });
             }
         }
     }
     fits.retain(|fit| is_possible(&fit.frames, table));
-    fits.sort_by_key(|fit| std::cmp::Reverse(fit.frames.len()));
-    let second = fits.get(1).map_or(0, |fit| fit.frames.len());
+    fits.sort_by_key(|fit| std::cmp::Reverse(fit.fitting));
+    let second = fits.get(1).map_or(0, |fit| fit.fitting);
     let best = fits.into_iter().next().filter(|best| {
-        let count = best.frames.len();
+        let (count, fitting) = (best.frames.len(), best.fitting);
         let clear = match stamped {
-            true => count * 4 >= seen.len() * 3 && count >= second + MARGIN,
-            false => count + 1 >= seen.len() && count >= second + MARGIN_OF_ARRIVALS,
+            true => fitting * 4 >= seen.len() * 3 && fitting >= second + MARGIN,
+            // As the node hears it: one held up with the next fits that one's trigger, and leaves it none.
+            false => {
+                count * 4 >= fitting * 3
+                    && fitting + 1 >= seen.len()
+                    && fitting >= second + MARGIN_OF_ARRIVALS
+            }
         };
         clear && count >= ENOUGH
     });

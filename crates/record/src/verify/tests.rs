@@ -87,26 +87,48 @@ fn honest_recordings_are_good() {
     }
 }
 
-/// The node heard the rhythm in the first frames of a camera without stamps; then the host stood still.
-#[test]
-fn a_rhythm_that_was_heard_stays_heard() {
-    let mut take = Take::honest(Happens::Nothing, 4);
+/// Changes when frames of the warm-up of the camera without stamps arrived, by their places among them.
+fn rearrived(take: &mut Take, change: impl Fn(usize, &[u64]) -> u64) {
     let of = |event: &NodeEvent| {
         let camera = event.camera.as_ref().is_some_and(|id| id.as_str() == "h1_up");
         WarmUp::of(event).filter(|sample| camera && matches!(sample, WarmUp::Frame { .. }))
     };
-    let places: Vec<usize> =
-        (0..take.events.len()).filter(|place| of(&take.events[*place]).is_some()).collect();
-    for place in places.iter().rev().take(2) {
-        let Some(WarmUp::Frame { block, camera_time_ns, host_time_ns }) = of(&take.events[*place]) else {
-            continue;
-        };
-        let late = WarmUp::Frame { block, camera_time_ns, host_time_ns: host_time_ns + 25_000_000 };
+    let frames: Vec<(usize, WarmUp)> =
+        (0..take.events.len()).filter_map(|place| Some((place, of(&take.events[place])?))).collect();
+    let arrivals: Vec<u64> = frames
+        .iter()
+        .filter_map(|(_, frame)| match frame {
+            WarmUp::Frame { host_time_ns, .. } => Some(*host_time_ns),
+            _ => None,
+        })
+        .collect();
+    for (number, (place, frame)) in frames.iter().enumerate() {
+        let WarmUp::Frame { block, camera_time_ns, .. } = *frame else { continue };
+        let host_time_ns = change(number, &arrivals);
         let event = &take.events[*place];
-        take.events[*place] = late.event(event.camera.clone(), event.host_time_ns);
+        take.events[*place] = WarmUp::Frame { block, camera_time_ns, host_time_ns }
+            .event(event.camera.clone(), event.host_time_ns);
     }
+}
+
+/// The node heard the rhythm in the first frames of a camera without stamps; then the host stood still.
+#[test]
+fn a_rhythm_that_was_heard_stays_heard() {
+    let mut take = Take::honest(Happens::Nothing, 4);
+    rearrived(&mut take, |number, at| at[number] + if number + 2 >= at.len() { 25_000_000 } else { 0 });
     let report = verified(&[&take]);
     assert!(report.worst.is_none(), "{}", text(&report));
+}
+
+/// Two frames of a camera without stamps came at once: the first fits the trigger of the second.
+#[test]
+fn one_frame_that_was_held_up_with_the_next_hides_no_rhythm() {
+    for held in 1..7 {
+        let mut take = Take::honest(Happens::Nothing, 4);
+        rearrived(&mut take, |number, at| at[number + usize::from(number == held)]);
+        let report = verified(&[&take]);
+        assert!(report.worst.is_none(), "{held}: {}", text(&report));
+    }
 }
 
 /// Each forgery of an honest recording contradicts something, and what is said names the camera and the triggers.
