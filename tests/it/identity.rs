@@ -60,10 +60,12 @@ fn cameras_that_stamp_and_send_when_they_like_are_never_a_trigger_off() {
     let reader = SessionReader::open(&session).expect("readable");
     let events = || reader.recordings().iter().flat_map(|recording| &recording.events);
     let named = events().filter(|event| event.kind == "place_unknown").count() as u64;
-    // Those without stamps have the arrivals alone beside their ids: a busy host can cost them all (`acquisition.md`).
-    let stamped = gaps.iter().enumerate().filter(|(camera, _)| ![4, 5].contains(camera));
-    let lost = stamped.map(|(_, gaps)| gaps.len() as u64).sum::<u64>();
-    assert!(named <= 4 && lost <= (6 * TRIGGERS) / 10 + named * TRIGGERS, "{gaps:?}");
+    // One without stamps that was placed has the arrivals alone beside its ids: a busy host can cost it all
+    // (`acquisition.md`), and no other that.
+    let whole = gaps.iter().enumerate().filter(|(_, gaps)| gaps.len() as u64 == TRIGGERS);
+    let unstamped = whole.filter(|(camera, _)| [4, 5].contains(camera)).count() as u64;
+    let lost = named.max(unstamped.min(1));
+    assert!(named <= 4 && missing.len() as u64 <= (8 * TRIGGERS) / 10 + lost * TRIGGERS, "{gaps:?}");
     let expected = if missing.is_empty() { 0 } else { 3 };
     assert_eq!(captured.status.code(), Some(expected), "{}", text_of(&captured));
     let verified = fourdbody(&["verify", &session.display().to_string()]);
