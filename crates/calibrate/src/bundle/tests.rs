@@ -206,7 +206,7 @@ fn stated_uncertainty_is_the_spread() {
 
 /// The figures of docs/validation.md.
 #[test]
-#[ignore = "200 adjustments, minutes: cargo test --release --lib calibrate::bundle -- --include-ignored --nocapture"]
+#[ignore = "200 adjustments, minutes: cargo test --release -p fourdbody-calibrate --lib bundle -- --include-ignored --nocapture"]
 fn stated_uncertainty_is_the_spread_over_many_seeds() {
     check_spread(200);
 }
