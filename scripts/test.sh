@@ -13,20 +13,22 @@ alone=faults::every_injected_fault_is_accounted_for_and_nothing_else_is_missing
 cargo=${CARGO:-cargo}
 log=target/test-computing.log
 # What runs in the background does not hear of Ctrl-C by itself.
-trap "kill 0" INT TERM
+trap 'trap - INT TERM; kill 0' INT TERM
+# A test that hangs is named by the line that says how long it has been running, and ends the run.
+bounded() { timeout --foreground 40m "$@"; }
 
 # What a compute node has is the program without Aravis: the tests give it to the tasks of their Slurm.
 "$cargo" build --no-default-features --bin fourdbody || exit
 install -D target/debug/fourdbody target/compute-node/fourdbody
 export FOURDBODY_COMPUTE_NODE=$PWD/target/compute-node/fourdbody
 "$cargo" test --workspace --tests --no-run || exit
-"$cargo" test -p fourdbody --test it -- --exact "$alone"
+bounded "$cargo" test -p fourdbody --test it -- --exact "$alone"
 first=$?
 
 (
-    nice -n 19 "$cargo" test --workspace --lib && nice -n 19 "$cargo" test --workspace --test it -- "${computing[@]}"
+    bounded nice -n 19 "$cargo" test --workspace --lib && bounded nice -n 19 "$cargo" test --workspace --test it -- "${computing[@]}"
 ) >"$log" 2>&1 &
-"$cargo" test --workspace --test it --test makes -- --skip="$alone" "${computing[@]/#/--skip=}"
+bounded "$cargo" test --workspace --test it --test makes -- --skip="$alone" "${computing[@]/#/--skip=}"
 waiting=$?
 wait $!
 computed=$?

@@ -178,19 +178,39 @@ pub fn by_heads(roles: &[Role], heads: &[Option<usize>]) -> Result<Vec<Role>, Ve
     if problems.is_empty() { Ok(sorted) } else { Err(problems) }
 }
 
-/// Which of several pictures has become dark, by their mean grey values before and after; `None` where none is much darker
-/// than all others.
-pub fn covered(before: &[f64], after: &[f64]) -> Option<usize> {
-    let share: Vec<f64> = before.iter().zip(after).map(|(b, a)| (a + 1.0) / (b + 1.0)).collect();
-    let darkest = (0..share.len()).min_by(|a, b| share[*a].total_cmp(&share[*b]))?;
-    let others = share.iter().enumerate().filter(|(i, _)| *i != darkest).map(|(_, share)| *share);
+/// What a look at several cameras shows of the one whose lens somebody covers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Look {
+    /// The picture of this one is dark, and no other's.
+    Covered(usize),
+    /// No picture is much darker than all others.
+    NoneDark,
+    /// This one sent no picture, so that nothing can be said of the others either.
+    NoPicture(usize),
+}
+
+/// Compares mean grey values with the brightest that each camera has shown so far, and notes brighter ones there.
+pub fn covered(brightest: &mut [f64], now: &[Option<f64>]) -> Look {
+    let mut share = Vec::with_capacity(now.len());
+    for (place, (bright, grey)) in brightest.iter_mut().zip(now).enumerate() {
+        let Some(grey) = *grey else { return Look::NoPicture(place) };
+        *bright = bright.max(grey);
+        share.push((grey + 1.0) / (*bright + 1.0));
+    }
+    let Some(darkest) = (0..share.len()).min_by(|a, b| share[*a].total_cmp(&share[*b])) else {
+        return Look::NoneDark;
+    };
+    let others = share.iter().enumerate().filter(|(place, _)| *place != darkest).map(|(_, share)| *share);
     let next = others.min_by(f64::total_cmp).unwrap_or(1.0);
-    (share[darkest] < 0.5 && share[darkest] < 0.6 * next).then_some(darkest)
+    match share[darkest] < 0.5 && share[darkest] < 0.6 * next {
+        true => Look::Covered(darkest),
+        false => Look::NoneDark,
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Claim, Known, Role, assign, by_heads, covered};
+    use super::{Claim, Known, Look, Role, assign, by_heads, covered};
     use crate::base::ids::CameraId;
     use crate::network::Mac;
     use crate::new_bench::found::Found;
@@ -265,8 +285,22 @@ mod tests {
 
     #[test]
     fn a_covered_lens_is_the_one_that_is_dark() {
-        assert_eq!(covered(&[100.0, 120.0, 80.0], &[98.0, 4.0, 81.0]), Some(1));
-        assert_eq!(covered(&[100.0, 120.0], &[95.0, 110.0]), None, "none is covered");
-        assert_eq!(covered(&[100.0, 120.0], &[5.0, 6.0]), None, "the light is off");
+        let look = |before: &[f64], now: &[f64]| {
+            let now: Vec<Option<f64>> = now.iter().copied().map(Some).collect();
+            covered(&mut before.to_vec(), &now)
+        };
+        assert_eq!(look(&[100.0, 120.0, 80.0], &[98.0, 4.0, 81.0]), Look::Covered(1));
+        assert_eq!(look(&[100.0, 120.0], &[95.0, 110.0]), Look::NoneDark, "none is covered");
+        assert_eq!(look(&[100.0, 120.0], &[5.0, 6.0]), Look::NoneDark, "the light is off");
+    }
+
+    #[test]
+    fn a_picture_that_did_not_come_is_not_a_dark_one() {
+        let mut brightest = [100.0, 120.0];
+        assert_eq!(covered(&mut brightest, &[Some(98.0), None]), Look::NoPicture(1));
+        // The one whose lens was covered, or whose light was off, at the first look is known when it was bright once.
+        let mut brightest = [100.0, 3.0];
+        assert_eq!(covered(&mut brightest, &[Some(98.0), Some(120.0)]), Look::NoneDark);
+        assert_eq!(covered(&mut brightest, &[Some(98.0), Some(4.0)]), Look::Covered(1));
     }
 }

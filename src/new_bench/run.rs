@@ -10,7 +10,7 @@ use super::node_file::{Entry, Given, with_cameras};
 use super::outcome::{NamedCamera, Outcome, comment, picture};
 use super::packets::{Burst, largest};
 use super::pulses::Reception;
-use super::roles::{Claim, Known, Role, assign, by_heads, covered};
+use super::roles::{Claim, Known, Look, Role, assign, by_heads, covered};
 use super::who::{left_out, those_meant, who_answers};
 use crate::base::ids::CameraId;
 use crate::base::write_whole;
@@ -25,6 +25,9 @@ use std::path::{Path, PathBuf};
 
 /// At the rig's rate so many triggers follow the warm-up.
 const TRIGGERS: u32 = 20;
+
+/// Times that pulses may leave a camera's picture out, while lenses are covered.
+const LOOKS: usize = 3;
 
 /// What is to be set up.
 #[derive(Debug, Clone)]
@@ -419,7 +422,9 @@ impl Work {
                 }
                 _ => {}
             }
-            if options.in_order || !operator.is_there() {
+            // A camera that answers no pulse shows no picture; what is wrong with it stands in its problems.
+            let dumb = which.iter().any(|place| cameras[*place].wired.is_none());
+            if dumb || options.in_order || !operator.is_there() {
                 continue;
             }
             let at = self.cover(place, &which, unit, cameras, operator)?;
@@ -444,15 +449,31 @@ impl Work {
     ) -> Result<usize, String> {
         let id = &self.roles[place].id;
         let text = |error: super::pulses::TrainError| error.to_string();
-        let open = unit.look(cameras, which).map_err(text)?;
-        while operator.does(&format!("cover the lens of {id}")) {
-            let dark = unit.look(cameras, which).map_err(text)?;
-            if let Some(found) = covered(&open, &dark) {
-                return Ok(which[found]);
+        let mut brightest = vec![0.0; which.len()];
+        let mut looks = LOOKS;
+        let mut asked = false;
+        while looks > 0 {
+            match covered(&mut brightest, &unit.look(cameras, which).map_err(text)?) {
+                Look::Covered(found) if asked => return Ok(which[found]),
+                Look::NoPicture(place) => {
+                    let found = &cameras[which[place]].found;
+                    operator.tell(&format!("{found} sent no picture at the pulses; they are repeated"));
+                    looks -= 1;
+                    continue;
+                }
+                _ if asked => {
+                    operator.tell("no picture became dark: cover the lens wholly, with the light on");
+                }
+                _ => {}
             }
-            operator.tell("no picture became dark: cover the lens wholly, with the light on");
+            asked = true;
+            if !operator.does(&format!("cover the lens of {id}")) {
+                return Err(format!("{id} was not shown"));
+            }
         }
-        Err(format!("{id} was not shown"))
+        Err(format!(
+            "{id} cannot be told from its neighbour: {LOOKS} times a camera sent no picture at the pulses"
+        ))
     }
 
     /// Frames of each camera at the rig's rate, set up as a node will do it with the file that is written.
