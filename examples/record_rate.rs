@@ -67,7 +67,7 @@ fn processor_time() -> Result<Duration, Box<dyn Error>> {
     Ok(Duration::from_millis(ticks * 10))
 }
 
-/// Where the frames go.
+/// The writer that receives the frames.
 enum Sink {
     InPlace(Box<Recording>),
     Copied(Box<Recording>),
@@ -113,7 +113,7 @@ impl Sink {
         Ok(())
     }
 
-    /// Everything on the medium.
+    /// Waits until all bytes are on the medium.
     fn finish(self) -> Result<Option<WriteStatistics>, Box<dyn Error>> {
         match self {
             Self::InPlace(recording) | Self::Copied(recording) => {

@@ -13,11 +13,11 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::time::Duration;
 
-/// What to measure.
+/// The train of triggers to measure.
 pub struct Train {
-    /// Triggers.
+    /// How many triggers the train has.
     pub triggers: u64,
-    /// Between two of them.
+    /// Time from one trigger to the next.
     pub period: Duration,
     /// How much faster the unit's clock runs than the host's.
     pub drift_ppm: f64,
@@ -27,7 +27,7 @@ pub struct Train {
     pub triggers_per_exchange: u64,
 }
 
-/// What was found.
+/// Errors of the clocks that the train has shown.
 pub struct Found {
     /// Error of each trigger's host time as it was known when its report came, ns, in rising order.
     pub errors_ns: Vec<u64>,

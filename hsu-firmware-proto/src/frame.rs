@@ -84,7 +84,7 @@ pub struct FrameErrors {
 }
 
 impl FrameErrors {
-    /// All of them.
+    /// How many frames were dropped, for all reasons together.
     pub fn total(&self) -> u32 {
         self.crc.saturating_add(self.stuffing).saturating_add(self.too_long)
     }
@@ -106,7 +106,7 @@ impl Default for Decoder {
 }
 
 impl Decoder {
-    /// An empty one.
+    /// A decoder that has not received any byte.
     pub const fn new() -> Self {
         let errors = FrameErrors { crc: 0, stuffing: 0, too_long: 0 };
         Self { buffer: [0; MAX_STUFFED], length: 0, too_long: false, errors }

@@ -17,7 +17,7 @@ use crate::{LINKS, MAX_MESSAGE, version};
 pub struct HostToUnit {
     /// Chosen by the host, different from that of its previous request on this link.
     pub request_id: u32,
-    /// What is asked.
+    /// What the host requests of the unit.
     pub request: Request,
 }
 
@@ -54,9 +54,9 @@ pub enum Request {
     Hello(Hello),
     /// Sets the timing; echoed as [`crate::UnitToHost::Timing`]. Refused while a link is armed, unless it is the same.
     Configure(Result<Timing, TimingError>),
-    /// Asks for the timing.
+    /// Requests the timing that is in force.
     ReadTiming,
-    /// Arms this link.
+    /// Arms the link on which it arrives.
     Arm(Arm),
     /// Starts the train; refused unless every expected link has armed.
     Start(SessionId),
@@ -66,7 +66,7 @@ pub enum Request {
     Disarm(SessionId),
     /// Asks for the unit's time at receipt.
     ReadClock {
-        /// Returned with the answer.
+        /// Any number; the answer returns it unchanged.
         token: u64,
     },
     /// Asks for triggers again, up to [`crate::MAX_RECORDS`] of them.
@@ -75,10 +75,10 @@ pub enum Request {
         session: SessionId,
         /// Number of the first; negative for warm-up.
         first: i64,
-        /// How many.
+        /// How many records the unit should repeat.
         count: u16,
     },
-    /// Asks for the status.
+    /// Requests the state of the unit.
     ReadStatus,
     /// Says that the host is alive.
     Heartbeat,
@@ -88,7 +88,7 @@ pub enum Request {
     StartAtEdge(SessionId, Slope),
     /// Asks for edges of the inputs again, up to [`crate::MAX_EDGES`] of them.
     QueryEdges {
-        /// Number of the first.
+        /// Number of the first record to repeat.
         first: u64,
     },
     /// Says which input carries linear time code. Until this link's Hello, Goodbye or another such request its edges are
@@ -96,7 +96,7 @@ pub enum Request {
     SetTimeCode(Option<u8>),
     /// Asks for time codes again, up to [`crate::MAX_RECORDS`] of them.
     QueryTimeCodes {
-        /// Number of the first.
+        /// Number of the first record to repeat.
         first: u64,
     },
 }
@@ -123,7 +123,7 @@ const QUERY_TIME_CODES: u8 = 15;
 pub struct Unreadable {
     /// From the header, the same in all versions.
     pub request_id: Option<u32>,
-    /// What is wrong.
+    /// Why the message cannot be decoded.
     pub error: DecodeError,
 }
 
@@ -169,7 +169,7 @@ impl HostToUnit {
         put.length()
     }
 
-    /// Reads a message.
+    /// Decodes one message from its bytes.
     pub fn decode(message: &[u8]) -> Result<Self, Unreadable> {
         let mut take = Take::new(message);
         let unreadable = |error| Unreadable { request_id: None, error };

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Identifiers on the wire.
+//! Identifiers of links, nodes and sessions, as they are sent.
 
 use core::fmt;
 
 /// Which of the unit's two sockets a link is plugged into.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LinkId {
-    /// First socket.
+    /// The first serial socket of the unit.
     A,
-    /// Second socket.
+    /// The second serial socket of the unit.
     B,
 }
 
 impl LinkId {
-    /// Both, in order.
+    /// Both links, A before B.
     pub const ALL: [Self; crate::LINKS] = [Self::A, Self::B];
 
     /// 0 or 1; also the bit in link masks.
@@ -24,7 +24,7 @@ impl LinkId {
         }
     }
 
-    /// From the wire.
+    /// The link of a wire index; `None` for other numbers.
     pub const fn from_index(index: u8) -> Option<Self> {
         match index {
             0 => Some(Self::A),
@@ -33,7 +33,7 @@ impl LinkId {
         }
     }
 
-    /// The other one.
+    /// The other link of the unit.
     pub const fn other(self) -> Self {
         match self {
             Self::A => Self::B,
@@ -71,7 +71,7 @@ impl fmt::Display for SessionId {
 pub struct NodeName(pub [u8; 16]);
 
 impl NodeName {
-    /// Nobody.
+    /// The identifier that stands for no session.
     pub const NONE: Self = Self([0; 16]);
 
     /// From text; `None` if it has more than 16 bytes or holds a zero.
@@ -84,7 +84,7 @@ impl NodeName {
         Some(Self(bytes))
     }
 
-    /// Whether it names nobody.
+    /// Whether this is [`Self::NONE`], which identifies no session.
     pub fn is_none(&self) -> bool {
         self.0[0] == 0
     }

@@ -10,7 +10,7 @@ use crate::{EDGE_HISTORY, EDGES_KEPT, HEARTBEAT_NS, INPUTS, MAX_EDGES};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Slope {
     line: u8,
-    /// From low to high.
+    /// Whether the level went from low to high.
     pub rising: bool,
 }
 
@@ -20,7 +20,7 @@ impl Slope {
         (usize::from(line) < INPUTS).then_some(Self { line, rising })
     }
 
-    /// The line, below [`INPUTS`].
+    /// The number of the input line, below [`INPUTS`].
     pub fn line(self) -> u8 {
         self.line
     }
@@ -74,7 +74,7 @@ impl Edge {
     }
 }
 
-/// Consecutive edges.
+/// Edges with consecutive numbers, as one message carries them.
 pub type Edges = Records<Edge>;
 
 /// What the unit knows of its inputs.
@@ -85,7 +85,7 @@ pub(crate) struct Inputs {
     levels: u8,
     /// Since the last edge that was kept.
     skipped: u16,
-    /// Edges kept since `window_ns`.
+    /// How many edges were kept since `window_ns`.
     in_window: u8,
     window_ns: u64,
 }

@@ -9,7 +9,7 @@
 
 use crate::time_code::{TimeCode, TimeCodeFrame};
 
-/// Bits of a frame.
+/// Bits of one linear time code frame (SMPTE 12M).
 const BITS: u8 = 80;
 /// The last 16 bits of a frame, first bit lowest: in order of time 0011 1111 1111 1101.
 const SYNC: u128 = 0b1011_1111_1111_1100;
@@ -97,7 +97,7 @@ impl Ltc {
         }
     }
 
-    /// A cell has ended.
+    /// Takes one bit, when its cell has ended.
     fn bit(&mut self, one: bool, cell_ns: u64, end_ns: u64) -> Option<TimeCodeFrame> {
         self.bits = self.bits >> 1 | u128::from(one) << (BITS - 1);
         let is_sync = self.bits >> (BITS - 16) == SYNC;

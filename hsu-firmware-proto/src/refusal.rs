@@ -20,7 +20,7 @@ pub enum Refusal {
     HelloFirst,
     /// The unit does not know this kind of request.
     UnknownRequest {
-        /// The kind.
+        /// The message kind that the unit does not know.
         kind: u8,
     },
     /// The request has the wrong length, or a code out of its range.
@@ -40,9 +40,9 @@ pub enum Refusal {
     },
     /// Another session is armed or runs; the first eight bytes of each id, little-endian.
     SessionDiffers {
-        /// The unit's session.
+        /// The session that the unit is in.
         unit: u64,
-        /// The request's session.
+        /// The session that the request names.
         host: u64,
     },
     /// The other link armed the same session with other parameters.
@@ -56,7 +56,7 @@ pub enum Refusal {
     RoleNotExpected,
     /// This session has already fired triggers: a session's triggers are fired once.
     SessionSpent {
-        /// Triggers fired, without warm-up.
+        /// Triggers fired so far, without those of the warm-up.
         emitted: u64,
     },
     /// Start without all expected links armed.
@@ -66,11 +66,11 @@ pub enum Refusal {
         /// How many nodes are expected.
         expected: u8,
     },
-    /// Stop without a train.
+    /// A request to stop while no train runs.
     NotRunning(State),
     /// More warm-up triggers than the unit fires.
     WarmUpTooLong {
-        /// As requested.
+        /// The value that was requested.
         found: u32,
     },
     /// The session id is empty.
@@ -84,12 +84,12 @@ pub enum Refusal {
     },
     /// An input cannot carry time code and start a train.
     InputIsTimeCode {
-        /// The input.
+        /// The number of the input line.
         input: u8,
     },
     /// A code that this host's version does not have.
     Other {
-        /// The code.
+        /// The refusal code that this version does not know.
         code: u8,
     },
 }

@@ -16,7 +16,7 @@ pub enum State {
     Arming = 1,
     /// All expected links are armed with the same session.
     Armed = 2,
-    /// A train runs.
+    /// A train of triggers is running.
     Running = 3,
     /// A session has ended; nothing armed since.
     Finished = 4,
@@ -40,18 +40,18 @@ impl fmt::Display for State {
     }
 }
 
-/// Why a session ended.
+/// Why the unit ended a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[repr(u8)]
 pub enum EndReason {
-    /// It has not.
+    /// The session has not ended.
     #[default]
     None = 0,
-    /// All triggers were fired.
+    /// The unit fired all triggers that were requested.
     Completed = 1,
     /// A host asked to stop.
     Stopped = 2,
-    /// A host disarmed.
+    /// A host disarmed the unit.
     Aborted = 3,
     /// An armed link fell silent before the start, or all links during a train without a count.
     LinkSilent = 4,
@@ -77,14 +77,14 @@ impl fmt::Display for EndReason {
     }
 }
 
-/// The unit's status.
+/// The unit's state, links and counters at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Status {
-    /// What it is doing.
+    /// The state of its state machine.
     pub state: State,
     /// The session that it is at; when finished, the last one.
     pub session: SessionId,
-    /// Unit's clock, ns.
+    /// Time on the unit's clock, ns.
     pub time_ns: u64,
     /// Number of the next trigger; negative in the warm-up.
     pub next_number: i64,

@@ -27,17 +27,17 @@ impl TimeCode {
         if in_range && !left_out { Some(Self { hours, minutes, seconds, frames, drop_frame }) } else { None }
     }
 
-    /// Hours, 0 to 23.
+    /// Hours of the code, 0 to 23.
     pub const fn hours(self) -> u8 {
         self.hours
     }
 
-    /// Minutes, 0 to 59.
+    /// Minutes of the code, 0 to 59.
     pub const fn minutes(self) -> u8 {
         self.minutes
     }
 
-    /// Seconds, 0 to 59.
+    /// Seconds of the code, 0 to 59.
     pub const fn seconds(self) -> u8 {
         self.seconds
     }
@@ -55,7 +55,7 @@ impl TimeCode {
     /// Frames a second by which codes are counted; 23.976 counts as 24, 29.97 as 30.
     pub const RATES: [u8; 3] = [24, 25, 30];
 
-    /// Reads `HH:MM:SS:FF` or `HH:MM:SS;FF`.
+    /// Parses `HH:MM:SS:FF`, or `HH:MM:SS;FF` for drop frame; `None` for anything else.
     pub fn parse(text: &str) -> Option<Self> {
         let text = text.as_bytes();
         let [_, _, b':', _, _, b':', _, _, mark @ (b':' | b';'), _, _] = text else { return None };
@@ -127,7 +127,7 @@ pub struct TimeCodeFrame {
     pub time_ns: u64,
     /// From there to the edge that the next frame begins with, ns.
     pub duration_ns: u32,
-    /// What was said.
+    /// The time code that the frame carries.
     pub code: TimeCode,
 }
 
@@ -156,7 +156,7 @@ impl TimeCodeFrame {
     }
 }
 
-/// Consecutive codes.
+/// Time codes with consecutive numbers, as one message carries them.
 pub type TimeCodeFrames = Records<TimeCodeFrame>;
 
 /// The byte that stands for no input.

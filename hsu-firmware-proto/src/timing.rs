@@ -6,7 +6,7 @@ use crate::codec::{DecodeError, Put, Take};
 use crate::frame::crc32;
 use core::fmt;
 
-/// What starts a trigger.
+/// The event that starts each trigger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[repr(u8)]
 pub enum Sync {
@@ -17,7 +17,7 @@ pub enum Sync {
     ProjectorFrame = 1,
 }
 
-/// One head's channel.
+/// Delay and exposure of one head's channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct HeadTiming {
     /// From the projector's frame sync to the cameras' rising edge, ns.
@@ -26,12 +26,12 @@ pub struct HeadTiming {
     pub exposure_ns: u64,
 }
 
-/// The unit's timing.
+/// The timing of a train: period, source, and a channel for each head.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Timing {
     /// From trigger to trigger, ns.
     pub period_ns: u64,
-    /// What starts a trigger.
+    /// The event that starts each trigger.
     pub sync: Sync,
     /// A link on which nothing was heard for this long is silent, ns.
     pub host_silence_ns: u64,
@@ -99,7 +99,7 @@ impl Timing {
         Ok(Self { period_ns, sync, host_silence_ns, heads: fixed, head_count: heads.len() as u8 })
     }
 
-    /// The heads, by number.
+    /// The channels of the heads, in the order of their numbers.
     pub fn heads(&self) -> &[HeadTiming] {
         &self.heads[..usize::from(self.head_count)]
     }

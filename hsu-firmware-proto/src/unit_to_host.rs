@@ -18,7 +18,7 @@ use core::fmt;
 pub use crate::refusal::Refusal;
 pub use crate::status::{EndReason, State, Status};
 
-/// Who the unit is.
+/// Serial number and firmware of the unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Identity {
     /// Product name; a host refuses to talk to another product.
@@ -32,7 +32,7 @@ pub struct Identity {
 /// The unit's answer to a Hello.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Welcome {
-    /// Who it is.
+    /// Serial number and firmware of the unit.
     pub identity: Identity,
     /// Oldest version that it speaks.
     pub min: u8,
@@ -78,7 +78,7 @@ pub struct TriggerRecord {
     pub flags: TriggerFlags,
 }
 
-/// Consecutive triggers.
+/// Triggers with consecutive numbers, as one message carries them.
 pub type TriggerRecords = Records<TriggerRecord>;
 
 /// Something is wrong that no request asked about.
@@ -86,12 +86,12 @@ pub type TriggerRecords = Records<TriggerRecord>;
 pub enum Fault {
     /// An armed link was not heard for longer than the silence limit.
     LinkSilent {
-        /// Which.
+        /// The link that has the fault.
         link: LinkId,
     },
     /// A link took its arming back: its host greeted anew, or left.
     ArmWithdrawn {
-        /// Which.
+        /// The link that has the fault.
         link: LinkId,
     },
     /// No frame sync of the projectors for more than a period and a half.
@@ -101,7 +101,7 @@ pub enum Fault {
     },
     /// The firmware's own supervision: power, wires, temperature. The firmware's manual has the codes.
     Hardware {
-        /// Firmware's code.
+        /// A code that the firmware's own documents explain.
         code: u32,
     },
 }
@@ -122,7 +122,7 @@ impl fmt::Display for Fault {
 /// A message of the unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum UnitToHost {
-    /// Answer to a Hello.
+    /// The answer to a `Hello`, with its request's number.
     Welcome(u32, Welcome),
     /// The request was carried out.
     Ack(u32),
@@ -130,48 +130,48 @@ pub enum UnitToHost {
     Refused(u32, Refusal),
     /// The timing in force: answer to Configure and ReadTiming.
     Timing(u32, Timing),
-    /// Answer to ReadClock.
+    /// The answer to a `ReadClock`, with the unit's time.
     Clock {
-        /// Of the request.
+        /// The number of the request that this answers.
         request_id: u32,
-        /// Of the request.
+        /// The number that the request carried.
         token: u64,
         /// Unit's clock at receipt, ns.
         time_ns: u64,
     },
     /// Answer to QueryTriggers: what the unit still has, from the first asked for on; may be empty.
     Triggers(u32, SessionId, TriggerRecords),
-    /// Answer to ReadStatus.
+    /// The answer to a `ReadStatus`, with its request's number.
     Status(u32, Status),
     /// Sent by itself every [`crate::HEARTBEAT_NS`] and at every change of state.
     Heartbeat(Status),
-    /// A trigger was fired.
+    /// The unit has fired a trigger of this session.
     Trigger(SessionId, TriggerRecord),
     /// The train has ended and all its edges are out.
     Done {
-        /// The session that ended.
+        /// The session that has ended.
         session: SessionId,
-        /// Triggers fired, without warm-up.
+        /// Triggers fired in it, without those of the warm-up.
         emitted: u64,
-        /// Why it ended.
+        /// Why the unit ended the session.
         reason: EndReason,
     },
-    /// Something is wrong.
+    /// The unit has found a fault during this session.
     Fault(SessionId, Fault),
     /// Answer to QueryEdges: what the unit still has, from the first asked for on; may be empty.
     Edges {
-        /// Of the request.
+        /// The number of the request that this answers.
         request_id: u32,
         /// Number of the edge that comes next.
         next: u64,
         /// A bit a line, as its last edge left it.
         levels: u8,
-        /// The edges.
+        /// The edges that the unit still keeps.
         edges: Edges,
     },
     /// Answer to QueryTimeCodes: what the unit still has, from the first asked for on; may be empty.
     TimeCodes {
-        /// Of the request.
+        /// The number of the request that this answers.
         request_id: u32,
         /// The input that is decoded.
         input: Option<u8>,
@@ -181,7 +181,7 @@ pub enum UnitToHost {
         refused: u32,
         /// Number of the first of `codes`.
         first: u64,
-        /// The codes.
+        /// The time codes that the unit still keeps.
         codes: TimeCodeFrames,
     },
 }
@@ -275,7 +275,7 @@ impl UnitToHost {
         put.length()
     }
 
-    /// Reads a message.
+    /// Decodes one message from its bytes.
     pub fn decode(message: &[u8]) -> Result<Self, DecodeError> {
         let mut take = Take::new(message);
         let found = take.u8()?;

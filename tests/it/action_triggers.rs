@@ -248,7 +248,7 @@ fn the_camera_whose_clock_is_read_is_lost_and_the_others_go_on() {
     assert!(others.clone().count() <= 6 && others.clone().all(|(_, cause)| by_host(cause)), "{gaps:?}");
 }
 
-/// Takes a second.
+/// This test takes a second.
 #[test]
 fn a_camera_tells_of_ptp_and_its_clock_is_that_of_the_others() {
     let dir = tempfile::tempdir().expect("a temporary directory");
@@ -271,7 +271,7 @@ fn a_camera_tells_of_ptp_and_its_clock_is_that_of_the_others() {
     assert!(apart(1).max(apart(2)) < 1_000_000_000 && apart(3) > 1_000_000_000_000, "{told:?}");
 }
 
-/// Costs nothing.
+/// This test only parses text.
 #[test]
 fn what_action_commands_cannot_do_is_refused_with_its_key() {
     let dir = tempfile::tempdir().expect("a temporary directory");

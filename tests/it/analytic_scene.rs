@@ -69,7 +69,7 @@ fn photograph_painted(
     image
 }
 
-/// A ball.
+/// Where a ray meets a ball; the ball's centre and radius in metres.
 pub fn sphere(centre: Point3<f64>, radius: f64) -> impl Fn(&Ray) -> Hit {
     move |ray| {
         let along = (centre - ray.origin).dot(&ray.direction);

@@ -16,7 +16,7 @@ fn description(node: &ApiNode) -> Value {
     node.client("vera").get("/api/v1/openapi.json").expect("an answer")
 }
 
-/// Path, method, operation.
+/// Path, method and operation of each route in the description.
 fn operations(api: &Value) -> Vec<(String, &'static str, Value)> {
     let mut found = Vec::new();
     for (path, item) in api["paths"].as_object().expect("paths") {

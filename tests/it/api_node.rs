@@ -23,7 +23,7 @@ pub struct ApiNode {
     child: Child,
 }
 
-/// What a node answered.
+/// Status, headers and body of a node's answer.
 #[derive(Debug)]
 pub struct Reply {
     pub status: u16,
@@ -32,7 +32,7 @@ pub struct Reply {
 }
 
 impl Reply {
-    /// A header's value.
+    /// The value of a header, by its name.
     pub fn header(&self, name: &str) -> Option<&str> {
         let lines = self.head.lines().filter_map(|line| line.split_once(": "));
         lines.into_iter().find(|(found, _)| found.eq_ignore_ascii_case(name)).map(|(_, value)| value)
@@ -215,7 +215,7 @@ pub fn write_config(dir: &Path, api: &str) -> PathBuf {
     path
 }
 
-/// `fourdbody token new`.
+/// Runs `fourdbody token new` for this name and role.
 pub fn new_token(dir: &Path, name: &str, role: &str, replace: bool) {
     let (tokens, file) = (dir.join("tokens"), dir.join(format!("{name}.token")));
     let (tokens, file) = (tokens.display().to_string(), file.display().to_string());

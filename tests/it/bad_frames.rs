@@ -19,7 +19,7 @@ use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use nalgebra::Point3;
 use std::sync::OnceLock;
 
-/// Makes a calibration unusable.
+/// Changes a calibration so that it is unusable.
 type Spoil = fn(&mut Calibration);
 
 const RADIUS_M: f64 = 0.20;
@@ -66,7 +66,7 @@ fn changed(change: impl Fn(usize, usize, u8) -> u8) -> Plane<u8> {
     image
 }
 
-/// Refused, with a reason.
+/// Asserts that the frame was refused with a reason.
 fn assert_refused(name: &str, found: &Reconstruction) {
     let Outcome::Refused(reason) = &found.outcome else {
         panic!("{name}: {} points, {} wrong", found.cloud.len(), wrong(found));

@@ -360,7 +360,7 @@ fn cameras_without_frames_take_one_line_each() {
     assert!(missing[0].message.contains("3 of 16"), "{}", missing[0]);
 }
 
-/// A row of docs/design/experiments.md.
+/// Prints a row of docs/design/experiments.md.
 #[test]
 #[ignore = "54 calibrations, minutes: cargo test --release --test it models_are_compared -- --ignored --nocapture"]
 fn models_are_compared_by_positions_left_out() {

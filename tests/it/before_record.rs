@@ -16,7 +16,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
 const RATE_HZ: f64 = 20.0;
-/// Two seconds.
+/// Triggers of two seconds at [`RATE_HZ`].
 const BEFORE: u64 = 40;
 /// With the second that is held beyond what is asked for.
 const HELD: u64 = 60;

@@ -228,7 +228,7 @@ impl Photographs {
         }
     }
 
-    /// Only these triggers.
+    /// Keeps only the triggers for which this is true.
     pub fn keep(&mut self, keep: impl Fn(u64) -> bool) {
         self.images.retain(|(trigger, _), _| keep(*trigger));
         self.looked.retain(|(trigger, _), _| keep(*trigger));

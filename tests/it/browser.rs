@@ -64,12 +64,12 @@ impl Browser {
         told["value"].take()
     }
 
-    /// Opens a page.
+    /// Opens a page in the browser.
     pub fn open(&self, url: &str) {
         self.ask(Method::POST, "/url", Some(json!({ "url": url })));
     }
 
-    /// What a script returns.
+    /// Runs a script in the page; what it returns.
     pub fn run(&self, script: &str) -> Value {
         self.ask(Method::POST, "/execute/sync", Some(json!({ "script": script, "args": [] })))
     }

@@ -238,7 +238,7 @@ impl Fixture {
         command.args(["--format", "ply", "--cpus", "1", "--json"]).output().expect("starts")
     }
 
-    /// What was submitted.
+    /// The job that Slurm received under this name.
     fn submitted(&self, slurm: &PrivateSlurm, name: &str, options: &[&str]) -> Value {
         let output = self.submit(slurm, name, options);
         assert_eq!(output.status.code(), Some(0), "{}", text(&output));

@@ -15,7 +15,7 @@ use nalgebra::Point3;
 use std::path::Path;
 use std::sync::Arc;
 
-/// One photograph for ever.
+/// A camera that sends one photograph again and again.
 pub struct Still(pub Plane<u8>);
 
 impl ImageSource for Still {

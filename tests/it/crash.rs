@@ -39,7 +39,7 @@ impl Random {
     }
 }
 
-/// Median and maximum.
+/// The median and the largest of these values.
 pub fn median_and_most(mut values: Vec<u64>) -> (u64, u64) {
     values.sort_unstable();
     (values.get(values.len() / 2).copied().unwrap_or(0), values.last().copied().unwrap_or(0))
@@ -174,7 +174,7 @@ fn kill_a_recorder(dir: &Path, seed: u64, after: Duration) -> usize {
 struct Kept {
     /// Place of the last frame or gap record that is there.
     last: Option<usize>,
-    /// Frames that are not.
+    /// Frames that are not in the recovered recording.
     lost: usize,
 }
 

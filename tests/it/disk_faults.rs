@@ -208,7 +208,7 @@ fn a_small_disk_refuses_what_it_cannot_hold_and_is_never_filled() {
 enum Accounting {
     /// The disk failed before the first trigger: the session was given up.
     NeverOpened,
-    /// With a verdict.
+    /// The session ended with a verdict.
     Closed,
     /// They could not be written any more.
     Missing,

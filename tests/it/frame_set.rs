@@ -23,7 +23,7 @@ impl Photograph {
         Pipeline::new(Triangulator::new(self.pair.clone()), Method::Joint, false)
     }
 
-    /// Its cloud by itself.
+    /// The cloud of this camera by itself.
     pub fn cloud(&self) -> Reconstruction {
         self.pipeline().run(Mono8::from(&self.image))
     }

@@ -86,7 +86,7 @@ impl Rig {
         }
     }
 
-    /// What systemd does.
+    /// Starts a killed node again, as systemd would.
     fn restart(&mut self, victim: usize) -> NodeStatus {
         let file = &self.laboratory.nodes[victim];
         self.nodes[victim] = NodeProcess::start(&file.path, file.port);

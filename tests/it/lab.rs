@@ -12,7 +12,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The product's binary.
+/// The path of the program under test.
 pub const FOURDBODY: &str = env!("CARGO_BIN_EXE_fourdbody");
 
 /// Columns and rows of the test images: small, so that eight cameras fit on two busy cores.
@@ -107,7 +107,7 @@ pub fn turn() -> MutexGuard<'static, ()> {
 /// A node's process; killed when dropped.
 pub struct NodeProcess {
     child: Child,
-    /// Its API.
+    /// A client of the node's API.
     pub client: NodeClient,
     log: PathBuf,
 }
@@ -182,7 +182,7 @@ impl NodeProcess {
         }
     }
 
-    /// The process's id.
+    /// The process id of the node.
     pub fn pid(&self) -> u32 {
         self.child.id()
     }
@@ -203,7 +203,7 @@ pub fn start_nodes(laboratory: &Laboratory) -> Vec<NodeProcess> {
     nodes
 }
 
-/// Runs the product's binary.
+/// Runs the program under test and waits for its end.
 pub fn fourdbody(args: &[&str]) -> Output {
     Command::new(FOURDBODY).args(args).stdin(Stdio::null()).output().expect("the binary starts")
 }

@@ -214,7 +214,7 @@ fn a_camera_that_is_held_ends_nothing_for_the_others() {
     drop(laboratory);
 }
 
-/// Takes some 10 s.
+/// This test takes some ten seconds.
 #[test]
 fn two_cameras_of_a_head_are_told_apart_by_a_covered_lens() {
     let dir = tempfile::tempdir().expect("a temporary directory");

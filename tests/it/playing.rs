@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Triggers with a cloud.
+/// The triggers that have a cloud.
 const TRIGGERS: [u64; 8] = [0, 1, 2, 3, 7, 8, 9, 10];
 /// Triggers whose frames were refused.
 const HOLES: std::ops::Range<u64> = 4..7;

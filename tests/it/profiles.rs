@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 pub struct Table(BTreeMap<String, Feature>);
 
 impl Table {
-    /// Reads a table.
+    /// Reads a camera's table from its JSON file.
     pub fn read(path: &Path) -> Self {
         let text = std::fs::read_to_string(path).expect("readable");
         let table: Value = serde_json::from_str(&text).expect("JSON");

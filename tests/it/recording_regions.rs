@@ -101,7 +101,7 @@ pub enum Region {
     Footer,
 }
 
-/// How many there are.
+/// Regions of a recording; each is damaged in turn.
 const REGIONS: usize = 16;
 
 /// A good segment, taken apart as the MCAP specification says.
@@ -110,7 +110,7 @@ pub struct Anatomy {
     pub regions: BTreeMap<Region, Vec<Range<usize>>>,
     /// Starts and ends of chunks.
     chunks: Vec<usize>,
-    /// Ends of all records.
+    /// Offsets of the ends of all records, bytes.
     ends: Vec<usize>,
     /// Camera, trigger, and where the message is.
     pub frames: Vec<(usize, u64, Range<usize>)>,

@@ -85,7 +85,7 @@ impl Place {
     }
 }
 
-/// The paths as arguments.
+/// Runs the program with the paths as arguments.
 pub fn run(words: &[&str], paths: &[(&str, &Path)]) -> Output {
     let mut args: Vec<String> = words.iter().map(|word| (*word).to_owned()).collect();
     for (option, path) in paths {

@@ -198,7 +198,7 @@ fn scored_with_noise<'a>(
     scored.collect()
 }
 
-/// In per cent.
+/// Wrong and complete shares of a score, in per cent.
 fn wrong_and_complete(score: &Score) -> String {
     let (wrong, complete) = (100.0 * score.wrong_order_share, 100.0 * score.completeness_of_lit);
     format!("{wrong:.4} % wrong, {complete:.2} % of lit")

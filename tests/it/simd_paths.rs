@@ -40,7 +40,7 @@ pub fn render(dir: &Path, heads: usize) -> PathBuf {
     images
 }
 
-/// Reconstruction into `dir/name`.
+/// The command that reconstructs into `dir/name`.
 fn command(dir: &Path, name: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_fourdbody"));
     command.args(["reconstruct".as_ref(), dir.join("images").as_os_str(), "--calibration".as_ref()]);

@@ -19,7 +19,7 @@ slurmd -D -f "$SLURM_CONF" &
 wait
 "#;
 
-/// A running Slurm.
+/// A Slurm that runs for this test alone.
 pub struct PrivateSlurm {
     dir: tempfile::TempDir,
     child: Child,
@@ -91,7 +91,7 @@ impl PrivateSlurm {
         command
     }
 
-    /// Runs a client program.
+    /// Runs a client program of this Slurm.
     pub fn run(&self, program: &str, arguments: &[&str]) -> Output {
         self.command(program).args(arguments).output().expect("starts")
     }

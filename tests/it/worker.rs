@@ -42,7 +42,7 @@ struct Place {
 }
 
 impl Place {
-    /// With one session, "walk".
+    /// A worker's folders with one session, "walk".
     fn new() -> Self {
         Self::with(TRIGGERS)
     }

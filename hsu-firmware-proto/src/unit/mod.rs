@@ -80,7 +80,7 @@ struct News {
     state: bool,
 }
 
-/// The unit.
+/// The state machine of the unit, without any hardware.
 #[derive(Debug, Clone)]
 pub struct Unit {
     identity: Identity,
@@ -96,7 +96,7 @@ pub struct Unit {
     time_codes: TimeCodes,
     /// The armed train starts at such an edge.
     start_at: Option<Slope>,
-    /// Whether [`UnitOutputs::session_output`] is high.
+    /// Whether the level of [`UnitOutputs::session_output`] is high.
     output_high: bool,
     heartbeat_due_ns: u64,
     late: u32,
@@ -105,7 +105,7 @@ pub struct Unit {
 }
 
 impl Unit {
-    /// A unit at power-up.
+    /// The unit as it is at power-up.
     pub const fn new(identity: Identity) -> Self {
         const LINK: Link = Link {
             role: None,
@@ -147,7 +147,7 @@ impl Unit {
         }
     }
 
-    /// The timing in force.
+    /// The timing in force; `None` before the first is set.
     pub fn timing(&self) -> Option<&Timing> {
         self.timing.as_ref()
     }

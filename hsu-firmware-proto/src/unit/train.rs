@@ -7,7 +7,7 @@ use crate::{Arm, HISTORY};
 
 /// What a train wants at a moment.
 pub(super) enum Step {
-    /// Nothing yet.
+    /// Nothing is due before the next event.
     Wait,
     /// This trigger must be fired now.
     Fire(TriggerRecord),
@@ -24,10 +24,10 @@ pub(super) enum Step {
 /// from the timestamps of a camera's frames which of them belongs to which trigger.
 pub const PAUSE_BEFORE: [i64; 3] = [-6, -3, -2];
 
-/// A train that runs.
+/// The state of a train while it runs.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Train {
-    /// Of the next trigger.
+    /// The number of the next trigger; negative during the warm-up.
     number: i64,
     /// One behind the last trigger; `None`: until stopped.
     end: Option<i64>,
@@ -68,7 +68,7 @@ impl Train {
         self.end.is_some()
     }
 
-    /// Triggers fired, without warm-up.
+    /// Triggers fired so far, without those of the warm-up.
     pub(super) fn emitted(&self) -> u64 {
         u64::try_from(self.number).unwrap_or(0)
     }

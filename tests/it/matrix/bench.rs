@@ -59,14 +59,14 @@ pub struct Prepared {
     pub line: Option<String>,
 }
 
-/// What is really set.
+/// What GenApi reads of the camera's registers.
 #[derive(Deserialize)]
 pub struct Judged {
     pub found: BTreeMap<String, Value>,
     pub wrong: Vec<String>,
 }
 
-/// One description in it.
+/// One description of a camera on the bench.
 pub struct Bench {
     child: Child,
     asks: ChildStdin,

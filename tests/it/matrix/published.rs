@@ -73,7 +73,7 @@ fn descriptions() -> Vec<PathBuf> {
     files
 }
 
-/// What a panic said.
+/// The text of a panic, for the report.
 fn words_of(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().cloned();
     text.or_else(|| panic.downcast_ref::<&str>().map(|text| (*text).to_owned())).unwrap_or_default()
