@@ -35,7 +35,7 @@ enum Way {
     Sendmmsg,
     /// UDP_SEGMENT: runs of seven packets, copied by the kernel once.
     Segmented,
-    /// The same with MSG_ZEROCOPY.
+    /// As above, with MSG_ZEROCOPY.
     ZeroCopy,
     /// The same from a file in memory by `sendfile`, which hands pages over.
     Sendfile,

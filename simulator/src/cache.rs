@@ -22,7 +22,6 @@ pub struct Manifest {
     version: u32,
     /// SHA-256 of everything that the images depend on.
     pub inputs_sha256: String,
-    /// The scenario's name.
     pub scenario: String,
     /// Number of images per camera.
     pub instants: usize,
@@ -38,9 +37,7 @@ pub struct Manifest {
 pub struct CachedCamera {
     /// Its name in the rig.
     pub id: CameraId,
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
 }
 
@@ -50,15 +47,14 @@ pub enum CacheError {
     /// A file could not be read or written.
     #[error("{path}: {source}")]
     Io {
-        /// The file.
+        /// The file that cannot be read or written.
         path: PathBuf,
-        /// What the system said.
         source: io::Error,
     },
     /// The directory is not a cache, or not this one's.
     #[error("{path}: {reason}; render it again with `fourdbody-sim render`")]
     Invalid {
-        /// The file.
+        /// The file that cannot be used.
         path: PathBuf,
         /// What was found, what was expected.
         reason: String,
@@ -93,7 +89,6 @@ impl Manifest {
         directory.join("manifest.json")
     }
 
-    /// Reads a directory's manifest.
     pub fn load(directory: &Path) -> Result<Self, CacheError> {
         let path = Self::path(directory);
         let bytes = std::fs::read(&path).map_err(|source| CacheError::Io { path: path.clone(), source })?;

@@ -20,11 +20,8 @@ const STEP_M: f64 = 0.15;
 /// Distances between where points are and where the calibration puts them.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Distances {
-    /// Points compared.
     pub points: usize,
-    /// Root mean square.
     pub rms_mm: f64,
-    /// Largest.
     pub max_mm: f64,
 }
 

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// What to set up.
+/// Which rig, cameras, clocks, disks and faults a laboratory has.
 #[derive(Debug, Clone)]
 pub struct LaboratoryOptions {
     /// The rig file's text; it is copied beside the node files.
@@ -37,7 +37,6 @@ pub struct LaboratoryOptions {
     pub reserve_mib: u64,
     /// Size of the nodes' segments, MiB.
     pub segment_mib: u64,
-    /// Frame buffers per camera.
     pub buffers_per_camera: usize,
     /// Block id of the first frame of every acquisition: 1, unless a test wants the ids to wrap early.
     pub first_block_id: u64,
@@ -121,9 +120,8 @@ pub enum LaboratoryError {
     /// A file, link or pty could not be made.
     #[error("{what}: {source}")]
     Io {
-        /// What was being made.
+        /// What the laboratory was about to make.
         what: String,
-        /// What the system said.
         source: io::Error,
     },
     /// A camera did not start.
@@ -131,7 +129,6 @@ pub enum LaboratoryError {
     Camera {
         /// Its name in the rig.
         id: CameraId,
-        /// Why.
         source: CameraError,
     },
 }
@@ -139,9 +136,8 @@ pub enum LaboratoryError {
 /// One node's configuration, ready to be used.
 #[derive(Debug, Clone)]
 pub struct NodeFile {
-    /// The node.
     pub node: NodeId,
-    /// Its file.
+    /// The node file that was written for it.
     pub path: PathBuf,
     /// The port of its API.
     pub port: u16,
@@ -149,9 +145,8 @@ pub struct NodeFile {
 
 /// Cameras and HSU, running until dropped.
 pub struct Laboratory {
-    /// The rig.
     pub rig: Rig,
-    /// In the rig's order.
+    /// The cameras, in the order of the rig.
     pub cameras: Vec<SimulatedCamera>,
     setups: Vec<CameraOptions>,
     /// With one link per node, in the order of the nodes' names.
@@ -304,7 +299,7 @@ fn disk_dir(options: &LaboratoryOptions, node: &NodeId) -> PathBuf {
     options.run_dir.join(format!("disk-{node}"))
 }
 
-/// Where a node records.
+/// The folder into which a node records its sessions.
 fn sessions_dir(options: &LaboratoryOptions, node: &NodeId) -> PathBuf {
     match &options.disk {
         Some(plan) if plan.concerns(node.as_str()) => disk_dir(options, node),

@@ -3,7 +3,8 @@
 //!
 //! Knows the product's library (rig, geometry, pattern, calibration file); the product never knows it.
 
-/// Rendered sequences on disk, and their replay.
+#![allow(missing_docs, reason = "no library for others: what a name says needs no comment")]
+
 /// Rendered sequences on disk, and their replay.
 pub mod cache;
 /// One file per command of the command line.
@@ -19,18 +20,18 @@ pub mod images;
 pub mod laboratory;
 /// From the projector's panel to pixel values.
 pub mod optics;
-/// Seeded randomness by hashing.
+/// Random numbers that follow from a seed and a counter by hashing.
 pub mod random;
-/// Writing `rig.toml`.
+/// Writes `rig.toml` with the geometry that was simulated.
 pub mod rig_file;
-/// Scenario files.
+/// Scenario files: subject, motion, light, faults of the geometry.
 pub mod scenario;
 /// What stands in the light.
 pub mod scene;
 /// A whole scenario to a cache directory.
 pub mod sequence;
-/// The rig's true geometry.
+/// The true geometry of a rig, which differs from the nominal one.
 pub mod true_rig;
-/// Ground truth files.
+/// Files with the ground truth of each rendered frame.
 pub mod truth;
 pub mod wire;

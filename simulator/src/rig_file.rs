@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Writing `rig.toml`.
+//! Writes `rig.toml` with the geometry that was simulated.
 
 use fourdbody::config::{Board, Rig};
 use fourdbody::geometry::Device;

@@ -18,13 +18,11 @@ use std::path::{Path, PathBuf};
 /// What a run of the simulated world looks like.
 #[derive(Debug, Clone, Serialize)]
 pub struct Scenario {
-    /// Names the run.
     pub name: String,
-    /// Determines everything random.
+    /// Seed of everything random in the scenario.
     pub seed: u64,
-    /// The rig file.
     pub rig: PathBuf,
-    /// Number of different instants.
+    /// Number of instants, each rendered for all cameras.
     pub instants: usize,
     /// Instants per second of the subject's time; the rig's trigger rate when absent.
     pub rate_hz: Option<f64>,
@@ -50,17 +48,15 @@ pub struct Scenario {
 pub enum AfterEnd {
     /// Backwards to the first, and again: movement without a jump.
     PingPong,
-    /// The first again.
+    /// The sequence begins again with the first instant.
     Wrap,
 }
 
-/// What the projectors show.
+/// The picture that the projectors show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Light {
-    /// The rig's pattern.
     Fringes,
-    /// Full light everywhere.
     White,
     /// Nothing but the panel's black level.
     Dark,
@@ -70,9 +66,8 @@ pub enum Light {
 #[derive(Debug, Clone, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Subject {
-    /// Our articulated figure.
     Mannequin {
-        /// What it does.
+        /// The movement that it repeats.
         motion: Motion,
         /// Length of one repetition, s.
         period_s: f64,
@@ -84,7 +79,7 @@ pub enum Subject {
         heading_deg: f64,
         /// How tall it stands, m: all of it is larger or smaller.
         height_m: f64,
-        /// Resolution of its surface.
+        /// Edge length of its surface's cells, mm.
         cell_mm: f64,
         /// Relative amplitude of the skin's texture.
         texture: f64,
@@ -109,20 +104,18 @@ pub enum Subject {
     },
     /// A body without limbs, of known girths.
     Torso(Torso),
-    /// A ball.
     Sphere {
-        /// m.
+        /// Centre in world coordinates, m.
         centre_m: [f64; 3],
-        /// m.
+        /// Radius of the ball, m.
         radius_m: f64,
     },
-    /// An upright cylinder.
     Cylinder {
         /// Centre of the lower end, m.
         foot_m: [f64; 3],
-        /// m.
+        /// Radius of the cylinder, m.
         radius_m: f64,
-        /// m.
+        /// Height of the cylinder, m.
         height_m: f64,
     },
     /// A mesh file, or a directory of them played one after the other.
@@ -137,7 +130,7 @@ pub enum Subject {
 /// How a flat thing stands.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FlatPose {
-    /// Centre, m.
+    /// Centre in world coordinates, m.
     pub centre_m: [f64; 3],
     /// Which way its face looks: from world +x towards +y.
     pub azimuth_deg: f64,
@@ -181,7 +174,7 @@ pub struct Jitter {
     pub projector_distortion: [f64; 2],
     /// Of k1 and k2 about their means, as a share.
     pub distortion: f64,
-    /// Of p1 and p2.
+    /// Standard deviation of the tangential distortion p1 and p2.
     pub tangential: f64,
     /// By how much each device has turned since it was calibrated, about an axis by lot: standard deviation of the angle.
     pub drift_deg: f64,
@@ -214,9 +207,9 @@ pub struct Optics {
     pub cross_talk: f64,
     /// Room light on everything, as a share of `exposure_dn`.
     pub ambient: f64,
-    /// Floor, z = 0.
+    /// Albedo of the floor, the plane z = 0.
     pub floor_albedo: f64,
-    /// Curtain all around.
+    /// Albedo of the curtain around the volume.
     pub curtain_albedo: f64,
     /// Distance of the curtain from the world's vertical axis, m.
     pub curtain_radius_m: f64,
@@ -228,13 +221,13 @@ pub struct Optics {
     pub camera_defocus: f64,
     /// Loss of light in the sensor's corner.
     pub vignetting: f64,
-    /// Photoelectrons per pixel value.
+    /// Photoelectrons that make one grey value.
     pub electrons_per_dn: f64,
     /// Standard deviation, in pixel values.
     pub read_noise_dn: f64,
     /// Standard deviation of the pixels' sensitivity, as a share.
     pub prnu: f64,
-    /// Pixel value of darkness.
+    /// Grey value of a pixel without light.
     pub offset_dn: f64,
     /// Rays along each side of a pixel where depth or albedo jumps.
     pub edge_samples: usize,

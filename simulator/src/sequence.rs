@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 pub struct Changes {
     /// A mesh file or directory in place of the scenario's subject.
     pub mesh: Option<PathBuf>,
-    /// Another number of instants.
+    /// Renders this number of instants instead of the scenario's.
     pub instants: Option<usize>,
     /// Another marker than the rig's. The exposure is changed with it, so that the other fringes stay as bright as they are.
     pub marker: Option<Marker>,
@@ -36,20 +36,12 @@ pub enum RenderError {
     /// The scenario or the rig.
     #[error("{0}")]
     Config(ConfigError),
-    /// The subject's mesh.
     #[error("{0}")]
     Mesh(#[from] mesh_file::MeshError),
-    /// The cache.
     #[error("{0}")]
     Cache(#[from] CacheError),
-    /// Another file.
     #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     /// The values are valid, but do not fit together.
     #[error("{0}")]
     Unfit(String),
@@ -63,11 +55,11 @@ impl From<ConfigError> for RenderError {
 
 /// A scenario, ready to be rendered.
 pub struct Run {
-    /// The scenario, changes applied.
+    /// The scenario, with the command line's changes applied.
     pub scenario: Scenario,
     /// The rig, at the resolution rendered.
     pub rig: Rig,
-    /// The true geometry.
+    /// The true geometry, as a calibration file has it.
     pub calibration: Calibration,
     /// What the rig's calibration says: the same, unless devices have turned since.
     stated: Calibration,

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use train::{End, Laboratory, Train, remove};
 
-/// Cameras of one node.
+/// Number of cameras of the node.
 const CAMERAS: usize = 4;
 /// Pixels of one frame of the rig, as decimal billions want it.
 const FRAME_BYTES: f64 = 1920.0 * 1200.0;
@@ -39,10 +39,10 @@ pub struct Args {
     /// The rig, of which node a's cameras take part.
     #[arg(long, default_value = "config/rig.toml")]
     rig: PathBuf,
-    /// Triggers per second.
+    /// Trigger rate of each train, Hz.
     #[arg(long, default_value_t = 120.0)]
     rate_hz: f64,
-    /// Seconds of each train.
+    /// Length of each train, seconds.
     #[arg(long, default_value_t = 20.0)]
     duration: f64,
     /// Only one train of this many seconds, whose finished segments are dropped as it goes.
@@ -59,7 +59,6 @@ pub struct Args {
     packet_bytes: u32,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     if !(args.rate_hz > 0.0 && args.rate_hz <= 1000.0 && args.duration >= 2.0 && args.duration < 1e5) {
         let message = "--rate-hz must be above 0 and at most 1000, --duration at least 2 seconds";

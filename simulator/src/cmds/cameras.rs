@@ -18,16 +18,16 @@ use std::time::{Duration, Instant};
 /// `arv-camera-test-0.8 -n 127.0.7.11` streams from one.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Number of cameras.
+    /// Number of cameras to simulate.
     #[arg(long, default_value_t = 8)]
     count: u8,
     /// Address of the first camera; the others follow.
     #[arg(long, default_value = "127.0.7.11")]
     first: Ipv4Addr,
-    /// Columns of the sensor.
+    /// Number of the sensor's columns.
     #[arg(long, default_value_t = 1920)]
     width: usize,
-    /// Rows of the sensor.
+    /// Number of the sensor's rows.
     #[arg(long, default_value_t = 1200)]
     height: usize,
     /// Edges per second on all trigger inputs; 0 for none.
@@ -55,12 +55,11 @@ pub struct Args {
     /// Stop after so many seconds.
     #[arg(long)]
     duration: Option<f64>,
-    /// Print counters every second.
+    /// Print the cameras' counters every second.
     #[arg(long)]
     verbose: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     if !(0.0..=10_000.0).contains(&args.trigger_hz) {
         let message = format!("--trigger-hz is {}, expected 0 to 10000", args.trigger_hz);

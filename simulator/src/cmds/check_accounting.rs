@@ -27,7 +27,6 @@ pub struct Args {
     sessions: Vec<PathBuf>,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let shown = if args.pixels { Shown::TestImages } else { Shown::Scene };
     let truth = read_truth(&args.truth).map_err(|e| Failure::new(Exit::Failure, e))?;

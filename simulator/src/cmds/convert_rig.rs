@@ -22,7 +22,7 @@ const ROWS: PanelRows = PanelRows { excess: [-0.5, 0.0, 0.0], rms_px: 0.0 };
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  fourdbody-sim convert-rig --scene-rig rig.json --out target/scene")]
 pub struct Args {
-    /// The JSON rig.
+    /// Rig file in JSON, as others' renderer writes it.
     #[arg(long)]
     scene_rig: PathBuf,
     /// Where `rig.toml` and `calibration.json` go.
@@ -90,7 +90,6 @@ impl SceneDevice {
     }
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let failed =
         |path: &Path, what: String| Failure::new(Exit::Failure, format!("{}: {what}", path.display()));

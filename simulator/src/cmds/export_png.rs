@@ -18,7 +18,7 @@ pub struct Args {
     /// A directory that `render` wrote.
     #[arg(long)]
     frames: PathBuf,
-    /// Where the images go.
+    /// Folder to write the images to.
     #[arg(long)]
     out: PathBuf,
     /// Only these instants: A..B, B not included.
@@ -27,12 +27,11 @@ pub struct Args {
     /// Standard deviation of noise that is added to every pixel, DN: how much does a result hang on it?
     #[arg(long, default_value_t = 0.0)]
     noise_dn: f32,
-    /// Of the noise.
+    /// Seed of the noise that is added.
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let failed = |e: CacheError| Failure::new(Exit::Failure, e);
     let manifest = Manifest::load(&args.frames).map_err(failed)?;

@@ -25,7 +25,7 @@ pub struct Args {
     /// A figure and where it is.
     #[arg(long = "figure", value_name = "KEY=FILE:POINTER[=PAPER]", required = true)]
     figures: Vec<String>,
-    /// The file to write.
+    /// Summary file to write, JSON.
     #[arg(long)]
     out: PathBuf,
 }
@@ -39,7 +39,6 @@ struct Figure<'a> {
     paper: Option<&'a str>,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let scenario = crate::scenario::Scenario::load(&args.scenario)?;
     let mut summary = Map::new();

@@ -26,7 +26,7 @@ use std::time::Duration;
     after_help = "Example:\n  fourdbody-sim run --frames target/frames --run-dir target/lab --rate-hz 20\n  fourdbody node --config target/lab/node-a.toml"
 )]
 pub struct Args {
-    /// Directory of `fourdbody-sim render`.
+    /// Folder that `fourdbody-sim render` has written.
     #[arg(long, value_name = "DIR", required_unless_present = "rig")]
     frames: Option<PathBuf>,
     /// A rig file, for test images instead of rendered frames.
@@ -62,7 +62,7 @@ pub struct Args {
     /// Node files without an HSU: the node triggers its cameras by action commands. For a rig of one node.
     #[arg(long, conflicts_with = "carry_on")]
     actions: bool,
-    /// Frame buffers per camera.
+    /// Number of frame buffers of each camera.
     #[arg(long, default_value_t = 32)]
     buffers: usize,
     /// Size of the nodes' segments, MiB.
@@ -92,7 +92,6 @@ fn swinging_input(text: &str) -> Result<(u8, f64), String> {
     }
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let rig_path = match (&args.frames, &args.rig) {
         (Some(frames), _) => frames.join("rig.toml"),

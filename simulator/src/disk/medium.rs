@@ -28,7 +28,7 @@ pub struct WriteOutcome {
     pub limited: bool,
 }
 
-/// One disk.
+/// The state of one simulated disk.
 #[derive(Debug)]
 pub struct Medium {
     drawn: Drawn,
@@ -37,7 +37,7 @@ pub struct Medium {
     used: u64,
     writes: u64,
     syncs: u64,
-    /// Bytes taken in all.
+    /// Number of bytes written so far.
     bytes: u64,
     busy_until: Option<Instant>,
     slowed: BTreeSet<u64>,
@@ -46,7 +46,6 @@ pub struct Medium {
 }
 
 impl Medium {
-    /// An empty disk.
     pub fn new(drawn: Drawn) -> Self {
         Self {
             drawn,
@@ -70,7 +69,7 @@ impl Medium {
         self.drawn.faults.clear();
     }
 
-    /// Whether every change fails.
+    /// Whether the disk is gone, so that every change fails.
     pub fn is_gone(&self) -> bool {
         self.gone
     }
@@ -219,7 +218,7 @@ impl Medium {
     }
 }
 
-/// Chance, for one call.
+/// Whether a random fault happens at one call.
 fn happens(chance: u64, fault: u64, call: u64, probability: f64) -> bool {
     share(hash(chance, &[fault, call, 2])) < probability
 }

@@ -36,7 +36,7 @@ const THREADS: usize = 4;
 pub struct SimulatedDisk {
     mount_point: PathBuf,
     shared: Arc<Shared>,
-    /// `Some` until dropped.
+    /// The mounted file system; `None` once it is unmounted.
     session: Option<BackgroundSession>,
 }
 
@@ -82,7 +82,7 @@ impl SimulatedDisk {
         Ok(Self { mount_point: mount_point.to_owned(), shared, session: Some(session) })
     }
 
-    /// Where it is mounted.
+    /// The folder where the disk is mounted.
     pub fn mount_point(&self) -> &Path {
         &self.mount_point
     }
@@ -92,7 +92,7 @@ impl SimulatedDisk {
         self.shared.set_unreadable(faults);
     }
 
-    /// Ends all faults.
+    /// Ends all faults of the disk.
     pub fn repair(&self) {
         self.shared.repair();
     }

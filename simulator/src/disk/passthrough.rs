@@ -27,7 +27,6 @@ use std::time::{Duration, Instant, SystemTime};
 /// Names and attributes are asked for every time.
 const NO_CACHE: Duration = Duration::ZERO;
 
-/// An open file.
 #[derive(Debug, Clone)]
 struct Open {
     node: u64,
@@ -78,7 +77,7 @@ impl Shared {
         Self { root, node: node.to_owned(), fallocate, truth, unreadable, state }
     }
 
-    /// No faults any more.
+    /// Ends all faults of the disk.
     pub fn repair(&self) {
         self.lock().medium.repair();
         self.set_unreadable(Vec::new());
@@ -119,7 +118,7 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Path below the root.
+    /// Path of an inode, below the root folder.
     fn path(&self, node: INodeNo) -> Answer<PathBuf> {
         self.lock().nodes.path(node.0).map(Path::to_owned).ok_or(Errno::ENOENT)
     }
@@ -376,7 +375,7 @@ fn kind_of(metadata: &Metadata) -> FileType {
     FileType::from_std(metadata.file_type()).unwrap_or(FileType::RegularFile)
 }
 
-/// Answers the kernel.
+/// The file system that the kernel calls.
 pub struct Passthrough(pub Arc<Shared>);
 
 macro_rules! answer {

@@ -14,7 +14,7 @@ pub struct DiskPlanError(pub String);
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(untagged)]
 pub enum Amount {
-    /// This one.
+    /// Only the call with this number.
     Exactly(u64),
     /// One of these, both ends included.
     Within(u64, u64),
@@ -68,21 +68,19 @@ pub struct Full {
     pub announced_bytes: Option<u64>,
 }
 
-/// What fails.
+/// The kind of call that fails.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Operation {
-    /// Writes.
     Write,
     /// `fsync` and `fdatasync` of files; what was written since the last good one is gone.
     Sync,
 }
 
-/// An I/O error.
+/// An I/O error and the calls that it hits.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IoFault {
-    /// What fails.
     pub on: Operation,
     /// The n-th such call to the disk, from 1 on.
     pub nth: Option<Amount>,
@@ -101,7 +99,7 @@ pub struct IoFault {
 pub struct ReadFault {
     /// The file, below the disk's root.
     pub path: String,
-    /// The first byte.
+    /// Offset of the first unreadable byte.
     pub from: u64,
     /// Behind the last byte; to the file's end by default.
     pub to: Option<u64>,
@@ -119,14 +117,14 @@ pub struct DiskPlan {
     /// Whether space can be set aside (`fallocate`), as most file systems allow.
     #[serde(default = "yes")]
     pub fallocate: bool,
-    /// How slow it is.
+    /// How fast the disk writes; `None`: as fast as the host's.
     pub slow: Option<Slow>,
-    /// How small it is.
+    /// How many bytes the disk holds; `None`: as many as the host's.
     pub full: Option<Full>,
-    /// When it fails.
+    /// The calls that fail with an error.
     #[serde(default)]
     pub error: Vec<IoFault>,
-    /// What cannot be read.
+    /// The ranges of files that cannot be read.
     #[serde(default)]
     pub unreadable: Vec<ReadFault>,
 }
@@ -218,10 +216,10 @@ impl DiskPlan {
     }
 }
 
-/// [`DiskPlan`] of one disk.
+/// The [`DiskPlan`] with the random numbers of one disk.
 #[derive(Debug, Clone)]
 pub(super) struct Drawn {
-    /// Seed of this disk.
+    /// Seed of this disk's random faults.
     pub chance: u64,
     pub slow: Option<Slow>,
     pub slow_from: u64,
@@ -230,7 +228,7 @@ pub(super) struct Drawn {
     pub faults: Vec<DrawnFault>,
 }
 
-/// [`IoFault`] of one disk.
+/// The [`IoFault`] with the random numbers of one disk.
 #[derive(Debug, Clone)]
 pub(super) struct DrawnFault {
     pub on: Operation,

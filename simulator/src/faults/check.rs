@@ -17,23 +17,21 @@ const DOUBTFUL: u64 = 48;
 /// Mismatches beyond this many are counted, not listed.
 const LISTED: usize = 200;
 
-/// Faults of one kind.
+/// How faults of one kind were accounted for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
-    /// Injected into the sessions.
+    /// Faults of this kind that were injected into the sessions.
     pub injected: u64,
     /// With an outcome and events as expected.
     pub right: u64,
-    /// With others.
+    /// Faults whose frames were recorded with another outcome than expected.
     pub wrong: u64,
 }
 
 /// How recordings compare with the truth.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Accounting {
-    /// Per kind of fault.
     pub kinds: BTreeMap<String, Tally>,
-    /// Faults of all kinds.
     pub total: Tally,
     /// Outcomes looked at: one per camera and trigger.
     pub outcomes: u64,
@@ -67,7 +65,6 @@ impl Accounting {
     }
 }
 
-/// What the cameras showed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shown {
     /// Test images, numbered from 1 in the order of the rig's cameras: every frame's pixels are compared.

@@ -5,7 +5,7 @@ use fourdbody::record::{GapCause, RecordingReader};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What a disk did.
+/// The kinds of fault that a disk can have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DiskFault {
@@ -15,7 +15,6 @@ pub enum DiskFault {
     Limited,
     /// A write was cut short or refused for want of room.
     Full,
-    /// A call failed.
     IoError,
 }
 
@@ -26,7 +25,6 @@ pub struct DiskEvent {
     pub disk: String,
     /// The file, below the sessions directory.
     pub path: String,
-    /// What it was.
     pub kind: DiskFault,
     /// The call: `write`, `sync`, `create`, `truncate`, ...
     pub operation: String,
@@ -45,7 +43,7 @@ pub struct DiskEvent {
 }
 
 impl DiskEvent {
-    /// Without details.
+    /// A record without the optional details.
     pub fn new(node: &str, path: &Path, kind: DiskFault, operation: &str) -> Self {
         Self {
             disk: node.to_owned(),

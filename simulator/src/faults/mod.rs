@@ -40,7 +40,7 @@ pub struct CameraFaults {
 /// What the HSU needs to inject faults.
 #[derive(Debug, Clone)]
 pub struct HsuFaults {
-    /// What to inject.
+    /// The faults to inject, and when.
     pub plan: Arc<FaultPlan>,
     /// The node at the other end of each line.
     pub nodes: Vec<String>,

@@ -15,7 +15,7 @@ pub enum Resend {
     Answered,
     /// It is answered with "not available".
     Refused,
-    /// It is not answered.
+    /// The camera does not answer the trigger.
     Ignored,
     /// It is answered when the receiver has given the frame up.
     Late,
@@ -24,17 +24,16 @@ pub enum Resend {
 /// What of a frame gets lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
-    /// One payload packet.
+    /// One packet of the payload is missing.
     Packet,
     /// Several payload packets in a row.
     Burst,
     /// The leader, which carries the timestamp.
     Leader,
-    /// The trailer.
     Trailer,
 }
 
-/// A kind of fault.
+/// A kind of fault that a camera's frames can have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
     /// No packet of the frame arrives.
@@ -43,7 +42,6 @@ pub enum Kind {
     Lost(Part, Resend),
     /// All packets arrive, in another order.
     Reordered,
-    /// Every packet arrives twice.
     Duplicated,
     /// A payload packet arrives cut short.
     Truncated,
@@ -69,9 +67,7 @@ pub enum Kind {
     StampAbsent,
     /// The frame is of another pixel format, or its leader says so.
     WrongFormat,
-    /// Bytes follow every row.
     PaddedRows,
-    /// Chunks follow the image.
     ChunksAppended,
     /// Every packet of the frame is four bytes shorter than asked.
     ShortPackets,
@@ -206,7 +202,7 @@ impl fmt::Display for Kind {
 #[error("[faults] {0}")]
 pub struct PlanError(pub String);
 
-/// What to inject.
+/// Which faults to inject, with which probabilities and at which triggers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FaultPlan {
     /// Decides everything that is left to chance.
@@ -235,7 +231,6 @@ pub struct FaultPlan {
 /// A fault that the plan names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct NamedFault {
-    /// What happens.
     pub kind: Kind,
     /// To how many triggers (ids, for a jump), for kinds that last.
     pub count: Option<u64>,
@@ -400,7 +395,6 @@ struct PlanTable {
 /// One fault at one trigger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Fault {
-    /// What happens.
     pub kind: Kind,
     /// Decides the details: which packet, how many.
     pub chance: u64,

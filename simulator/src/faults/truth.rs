@@ -10,7 +10,7 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-/// One injected fault.
+/// The record of one injected fault.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Injected {
     /// Which train of triggers of this camera it was, from 1 on.
@@ -21,11 +21,10 @@ pub struct Injected {
     /// The node whose link it was; without camera and node it was the HSU itself.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node: Option<String>,
-    /// The trigger.
     pub trigger: u64,
     /// The frame's block id, where there is a frame.
     pub block: Option<u64>,
-    /// Name of the kind.
+    /// Name of the fault's kind, as in the plan.
     pub kind: String,
     /// Accepted outcomes of this trigger: `frame`, or causes of a gap.
     pub expected: Vec<String>,
@@ -43,7 +42,7 @@ impl Injected {
     }
 }
 
-/// `frame`, as an outcome.
+/// The outcome of a trigger that has its frame.
 pub const FRAME: &str = "frame";
 
 /// Outcomes that are right for this kind, and events that must be there.
@@ -127,7 +126,7 @@ impl TruthLog {
         });
     }
 
-    /// Writes a line down.
+    /// Writes one line of the record.
     pub fn write_down(&self, what: &impl Serialize) {
         let line = serde_json::to_string(what).map(|line| line + "\n").map_err(io::Error::from);
         let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);

@@ -13,11 +13,8 @@ use std::time::{Duration, Instant};
 /// What the network makes of an action command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ActionFate {
-    /// It arrives.
     Arrives,
-    /// It does not.
     Lost,
-    /// It arrives twice.
     Twice,
     /// It arrives so much later.
     Late(Duration),
@@ -28,7 +25,7 @@ pub enum ActionFate {
 pub struct ActionFilter(Arc<dyn Fn(i64) -> ActionFate + Send + Sync>);
 
 impl ActionFilter {
-    /// By this rule.
+    /// A filter that decides by this rule.
     pub fn new(fate: impl Fn(i64) -> ActionFate + Send + Sync + 'static) -> Self {
         Self(Arc::new(fate))
     }
@@ -52,7 +49,7 @@ pub struct Actions {
 }
 
 impl Actions {
-    /// Before the first.
+    /// The state before the first action command.
     pub fn new(filter: Option<ActionFilter>) -> Self {
         Self { filter, last: 0 }
     }

@@ -37,7 +37,7 @@ pub struct CameraClock {
     first_ns: i64,
     offset_ns: AtomicI64,
     drift_ppb: i64,
-    /// PTP sets it.
+    /// Whether PTP sets the clock.
     common: AtomicBool,
 }
 
@@ -75,7 +75,7 @@ impl CameraClock {
         self.common.store(common, Ordering::Relaxed);
     }
 
-    /// Whether PTP sets it.
+    /// Whether PTP sets the clock.
     pub fn is_common(&self) -> bool {
         self.common.load(Ordering::Relaxed)
     }

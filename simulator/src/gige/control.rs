@@ -17,13 +17,12 @@ pub const CONTROL: u32 = 2;
 /// What the stream needs to know of the registers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StreamSettings {
-    /// Feature values.
     pub settings: Settings,
     /// How images are cut into packets.
     pub layout: Layout,
     /// Where packets go; frames are exposed, but not sent, while the stream is closed.
     pub destination: Option<SocketAddrV4>,
-    /// Gap between packets.
+    /// Time between two packets of a frame.
     pub packet_delay: Duration,
     /// The stream's packets must not be fragmented.
     pub do_not_fragment: bool,
@@ -32,31 +31,27 @@ pub struct StreamSettings {
 /// What the device must do after a command.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
-    /// Start an acquisition.
     Start(StreamSettings),
     /// Go on with these settings.
     Update(StreamSettings),
-    /// Stop the acquisition.
     Stop,
-    /// One software trigger.
     SoftwareTrigger,
     /// The trigger of an action command.
     ActionTrigger {
-        /// The command's id.
+        /// Id of the scheduled action.
         id: u16,
-        /// When.
+        /// Time at which the action is due.
         time: Instant,
     },
     /// Send a test packet of this size (IP and UDP headers counted in).
     TestPacket {
-        /// Where to.
+        /// Address to which the test packet goes.
         destination: SocketAddrV4,
-        /// Size register.
+        /// Size as the register holds it, bytes.
         packet_size: u16,
-        /// Do not fragment it.
+        /// Whether routers must not fragment it.
         do_not_fragment: bool,
     },
-    /// Send stream packets again.
     Resend(ResendRequest),
     /// Answer and send at this address from now on.
     Move(Ipv4Addr),
@@ -113,12 +108,11 @@ impl Control {
         self.acquiring = false;
     }
 
-    /// Is an acquisition running?
     pub fn acquiring(&self) -> bool {
         self.acquiring
     }
 
-    /// Takes one datagram.
+    /// Handles one datagram and returns what is to be done.
     pub fn handle(&mut self, datagram: &[u8], from: SocketAddrV4, now: Instant) -> Outcome {
         let mut outcome = self.expire(now);
         self.registers.tick(self.acquiring, now);

@@ -19,9 +19,7 @@ pub const FILE_ADDRESS: u32 = 0x7000_0000;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Does {
-    /// Starts an acquisition.
     Start,
-    /// Ends it.
     Stop,
     /// Loads the settings of delivery.
     Load,
@@ -41,7 +39,7 @@ pub struct Command {
 /// Registers behind selectors: by their addresses, those of the selectors.
 type Banks = BTreeMap<u32, Vec<u32>>;
 
-/// What its registers do.
+/// What writing to a described register does.
 #[derive(Debug, Clone, Default, Deserialize)]
 pub struct Facts {
     commands: Vec<Command>,

@@ -47,9 +47,8 @@ pub struct CameraOptions {
     pub address: Ipv4Addr,
     /// The light on the sensor; its size is the sensor's.
     pub images: Arc<dyn ImageSource>,
-    /// The trigger input (`Line0`).
+    /// Edges at the trigger input `Line0`.
     pub triggers: Receiver<TriggerEdge>,
-    /// The camera's clock.
     pub clock: ClockOptions,
     /// Frames kept for resend requests: what the camera's memory holds.
     pub resend_frames: usize,
@@ -239,7 +238,6 @@ impl SimulatedCamera {
         self.address
     }
 
-    /// Its counters.
     pub fn statistics(&self) -> &Statistics {
         &self.statistics
     }
@@ -292,7 +290,7 @@ struct Controller {
     /// What it is after power-on.
     power_on: Box<dyn Fn() -> Control + Send>,
     presence: Arc<Presence>,
-    /// Power-ons seen.
+    /// Number of power-ons seen so far.
     boots: u64,
     socket: UdpSocket,
     broadcasts: Vec<UdpSocket>,

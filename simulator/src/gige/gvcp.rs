@@ -37,7 +37,6 @@ const FORCE_IP_SIZE: usize = 56;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u16)]
 pub enum Status {
-    /// Command executed.
     Success = 0x0000,
     /// Command or value is not supported by the device.
     NotImplemented = 0x8001,
@@ -45,7 +44,6 @@ pub enum Status {
     InvalidParameter = 0x8002,
     /// No register at this address.
     InvalidAddress = 0x8003,
-    /// The register is read-only.
     WriteProtect = 0x8004,
     /// Address or length is not a multiple of four.
     BadAlignment = 0x8005,
@@ -76,10 +74,9 @@ pub struct ResendRequest {
     pub extended: bool,
 }
 
-/// One GVCP command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Command {
-    /// Who is there?
+    /// A client looks for devices.
     Discovery,
     /// Read 32-bit registers at these addresses.
     ReadRegisters(Vec<u32>),
@@ -87,19 +84,17 @@ pub enum Command {
     WriteRegisters(Vec<(u32, u32)>),
     /// Read `count` bytes from `address`.
     ReadMemory {
-        /// First byte.
+        /// Address of the first byte.
         address: u32,
-        /// Number of bytes.
+        /// Number of bytes to read.
         count: u16,
     },
     /// Write bytes from `address` on.
     WriteMemory {
-        /// First byte.
+        /// Address of the first byte.
         address: u32,
-        /// What to write.
         data: Vec<u8>,
     },
-    /// Send stream packets again.
     PacketResend(ResendRequest),
     /// Whoever has this MAC shall have this address.
     ForceIp(ForceIp),
@@ -144,13 +139,13 @@ impl ActionCommand {
 /// Where a device shall move to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ForceIp {
-    /// Whose MAC, 48 bits.
+    /// MAC address of the device that is meant, 48 bits.
     pub mac: u64,
-    /// Its new address.
+    /// The address that the device shall take.
     pub address: Ipv4Addr,
-    /// Of its subnet.
+    /// Mask of the new subnet.
     pub mask: Ipv4Addr,
-    /// Of its subnet.
+    /// Gateway of the new subnet.
     pub gateway: Ipv4Addr,
 }
 
@@ -178,7 +173,6 @@ pub struct Request {
     pub id: u16,
     /// The sender wants an acknowledge.
     pub ack: bool,
-    /// What to do.
     pub command: Command,
 }
 
@@ -189,11 +183,10 @@ pub enum Malformed {
     Ignore,
     /// A GVCP header, and something wrong after it.
     Refuse {
-        /// What to answer.
         status: Status,
         /// The command that is refused.
         command: u16,
-        /// Its request id.
+        /// Id of the request that is answered.
         id: u16,
         /// The sender wants an acknowledge.
         ack: bool,

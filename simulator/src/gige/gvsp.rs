@@ -25,7 +25,7 @@ pub const FORMATS: [(&str, u32); 11] = [
 ];
 /// Bytes of IP and UDP headers, which the packet size register counts in.
 pub const IP_UDP_OVERHEAD: usize = 28;
-/// Longest GVSP header.
+/// Length of the longest GVSP header, bytes.
 pub const MAX_HEADER: usize = 20;
 /// Bytes of an image leader after the GVSP header.
 pub const LEADER_BODY: usize = 36;
@@ -44,13 +44,13 @@ const SHORT_LEADER_BODY: usize = 12;
 const CHUNK_TAIL: usize = 8;
 const FLAG_RESEND: u16 = 0x0001;
 
-/// Packet status field.
+/// The status field of a stream packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u16)]
 pub enum Status {
     /// Sent for the first time.
     Ok = 0x0000,
-    /// Sent again on request.
+    /// The packet is sent again on request.
     Resent = 0x0100,
     /// Cannot be sent again: not in the camera's memory.
     Unavailable = 0x800c,
@@ -88,7 +88,6 @@ impl IdMode {
 #[serde(rename_all = "snake_case")]
 #[repr(u16)]
 pub enum Payload {
-    /// An image.
     #[default]
     Image = 1,
     /// An image that chunks follow.
@@ -113,9 +112,9 @@ pub struct Form {
     pub format: u32,
     /// What the leader says of them.
     pub told: u32,
-    /// Bytes after every row.
+    /// Number of padding bytes after every row.
     pub padding: u16,
-    /// Bytes after the image.
+    /// Number of bytes after the image.
     pub appended: u32,
     /// What the leader says that the payload is.
     pub payload: Payload,
@@ -167,15 +166,15 @@ impl Form {
 /// How one image is cut into packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Layout {
-    /// Columns.
+    /// Number of the image's columns.
     pub width: u32,
-    /// Rows.
+    /// Number of the image's rows.
     pub height: u32,
-    /// Width of the ids.
+    /// Width of block and packet ids.
     pub ids: IdMode,
     /// Payload bytes of every full payload packet.
     pub chunk: usize,
-    /// What the payload is.
+    /// Pixel format and payload type.
     pub form: Form,
 }
 
@@ -197,7 +196,7 @@ impl Layout {
         Self { chunk: asked.saturating_sub(usize::from(form.short)).max(1), form, ..self }
     }
 
-    /// Bytes of the payload.
+    /// Length of the payload, bytes.
     pub fn image_bytes(&self) -> usize {
         self.form.payload(self.width, self.height)
     }
@@ -207,7 +206,7 @@ impl Layout {
         u32::try_from(self.image_bytes().div_ceil(self.chunk)).unwrap_or(u32::MAX)
     }
 
-    /// The trailer's packet id.
+    /// Packet id of the trailer.
     pub fn trailer_id(&self) -> u32 {
         self.payload_packets().saturating_add(1)
     }

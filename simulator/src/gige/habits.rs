@@ -62,7 +62,7 @@ pub struct Habits {
     /// The number of left-over frames that it sends when an acquisition starts, one after each `stray_after`, as some
     /// do (aravis#762). Before its first frame it has none.
     pub strays: u32,
-    /// See `strays`.
+    /// Time after which each of the `strays` is sent.
     pub stray_after: Duration,
     /// Block ids go on from the acquisition before.
     pub ids_go_on: bool,
@@ -76,12 +76,12 @@ pub struct Habits {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StampPoint {
-    /// When the shutter opens.
+    /// The time at which the exposure begins.
     #[default]
     ExposureStart,
-    /// When it closes.
+    /// The time at which the exposure ends.
     ExposureEnd,
-    /// When the readout begins.
+    /// The time at which the readout begins.
     ReadoutStart,
     /// When the leader goes out.
     LeaderSent,
@@ -300,10 +300,10 @@ struct FormTable {
     pixel_format: Option<String>,
     /// What the leader says instead.
     told: Option<String>,
-    /// Bytes after every row.
+    /// Number of padding bytes after every row.
     #[serde(default)]
     padding: u16,
-    /// Bytes after the image.
+    /// Number of bytes after the image.
     #[serde(default)]
     appended: u32,
     /// What the leader says that the payload is.

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 pub struct Injector {
     faults: CameraFaults,
     plan: CameraPlan,
-    /// Trains seen so far.
+    /// Number of trains seen so far.
     train: u64,
     last: Option<(i64, Instant)>,
     period: Option<Duration>,
@@ -21,7 +21,7 @@ pub struct Injector {
 }
 
 impl Injector {
-    /// Before the first train.
+    /// The injector's state before the first train.
     pub fn new(faults: CameraFaults) -> Self {
         let plan = CameraPlan::new(&faults.camera);
         Self { faults, plan, train: 0, last: None, period: None, away: false }

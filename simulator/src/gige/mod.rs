@@ -98,25 +98,24 @@ pub enum CameraError {
     Bind {
         /// What was to be bound.
         address: SocketAddrV4,
-        /// What the system says.
         source: std::io::Error,
     },
     /// The image source has a size that no camera has.
     #[error("images are {width} x {height} pixels, expected 16 to 16384 columns and 1 to 16384 rows")]
     Size {
-        /// Columns.
+        /// Width of the sensor, pixels.
         width: usize,
-        /// Rows.
+        /// Height of the sensor, pixels.
         height: usize,
     },
     /// A text does not fit into its register.
     #[error("the {field} {text:?} must have at most {limit} bytes and no NUL")]
     Text {
-        /// Which option.
+        /// Name of the option that is wrong.
         field: &'static str,
-        /// What was given.
+        /// The text that the option was given.
         text: String,
-        /// Bytes that fit.
+        /// Number of bytes that fit.
         limit: usize,
     },
     /// A socket refuses an option.

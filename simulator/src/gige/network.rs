@@ -5,10 +5,9 @@ use super::map::Id;
 use std::net::Ipv4Addr;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Address, subnet mask, gateway.
 pub type Addresses = (Ipv4Addr, Ipv4Addr, Ipv4Addr);
 
-/// Configuration register: persistent address.
+/// Bit of the IP configuration register: persistent address.
 const PERSISTENT: u32 = 1;
 /// Configuration register: link-local address; cannot be switched off.
 const LINK_LOCAL: u32 = 4;

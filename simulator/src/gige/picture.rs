@@ -6,7 +6,7 @@ use super::gvsp::Layout;
 /// How the sensor's pixels become the image's. By default they are the image's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Picture {
-    /// First column and row.
+    /// Column and row of the first pixel that is sent.
     pub offset: (u32, u32),
     /// So many columns and rows become one.
     pub step: (u32, u32),

@@ -29,9 +29,9 @@ const FEATURES: u32 = 0x0001_0000;
 pub const PACKET_SIZE: std::ops::RangeInclusive<u16> = 576..=65_532;
 /// The packet size must be a multiple of this.
 pub const PACKET_SIZE_STEP: u16 = 4;
-/// Narrowest image.
+/// Width of the narrowest image, pixels.
 pub const WIDTH_MIN: u32 = 16;
-/// Shortest heartbeat timeout, ms.
+/// Shortest heartbeat timeout that is accepted, ms.
 const HEARTBEAT_MIN: u32 = 500;
 /// States of PTP, as IEEE 1588 numbers them.
 pub const PTP_STATES: [(&str, u32); 3] = [("Disabled", 3), ("Listening", 4), ("Slave", 9)];
@@ -41,7 +41,6 @@ pub const EXTENDED_IDS_BIT: u32 = 1 << 30;
 /// What a camera is called and where it answers.
 #[derive(Debug, Clone)]
 pub struct Identity {
-    /// The device's own address.
     pub address: Ipv4Addr,
     /// Model name, at most 31 bytes.
     pub model: String,
@@ -56,13 +55,10 @@ pub struct Identity {
 pub enum Effect {
     /// Start acquiring with the settings as they stand.
     Start,
-    /// Stop acquiring.
     Stop,
-    /// A software trigger.
     SoftwareTrigger,
     /// Something changed that a running acquisition follows: destination, packet delay, exposure, rate.
     Stream,
-    /// Send one test packet.
     TestPacket,
     /// The control channel privilege register was written: the caller decides.
     Privilege(u32),
@@ -100,11 +96,10 @@ pub struct Registers {
     pub packet_size: u16,
     /// The stream's packets must not be fragmented.
     pub do_not_fragment: bool,
-    /// Gap between packets, ticks.
+    /// Time between two packets, ticks of the camera's clock.
     pub packet_delay: u32,
     /// Width of block and packet ids.
     pub ids: IdMode,
-    /// Camera features.
     pub settings: Settings,
     /// Triggers ignored since the acquisition started.
     pub triggers_ignored: u32,
@@ -170,7 +165,6 @@ impl Registers {
         self.network.away = false;
     }
 
-    /// Its addresses.
     pub fn network(&self) -> &Network {
         &self.network
     }

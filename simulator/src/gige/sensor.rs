@@ -19,10 +19,10 @@ pub fn shortest_period(exposure: Duration, rows: u32) -> Duration {
     exposure.max(readout(rows))
 }
 
-/// One accepted exposure.
+/// One exposure that the sensor accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Exposure {
-    /// The shutter opens.
+    /// Time at which the exposure begins.
     pub start: Instant,
     /// The shutter closes, and readout and transmission begin.
     pub end: Instant,

@@ -36,19 +36,18 @@ macro_rules! coded {
 coded! {
     /// How many frames an acquisition has.
     AcquisitionMode {
-        /// Until stopped.
+        /// Frames until the acquisition is stopped.
         Continuous = 0,
-        /// One.
+        /// One frame, then the acquisition ends.
         SingleFrame = 1,
-        /// `AcquisitionFrameCount`.
+        /// As many frames as `AcquisitionFrameCount` holds.
         MultiFrame = 2,
     }
 }
 
 coded! {
-    /// What ends an exposure.
     ExposureMode {
-        /// The exposure time.
+        /// The exposure time ends it.
         Timed = 0,
         /// The end of the trigger pulse.
         TriggerWidth = 1,
@@ -58,9 +57,7 @@ coded! {
 coded! {
     /// What starts an exposure while the trigger mode is on.
     TriggerSource {
-        /// The trigger input.
         Line0 = 0,
-        /// The command `TriggerSoftware`.
         Software = 1,
         /// Action commands that have the camera's keys.
         Action0 = 2,
@@ -70,28 +67,27 @@ coded! {
 /// Which of a pulse's edges trigger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Edge {
-    /// Where it begins.
+    /// The edge at which the pulse begins.
     Rising,
-    /// Where it ends.
+    /// The edge at which the pulse ends.
     Falling,
-    /// Both.
+    /// Both edges of the pulse.
     Any,
 }
 
 /// Values of the camera's features.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
-    /// Columns sent.
+    /// Number of columns that are sent.
     pub width: u32,
-    /// Rows sent.
+    /// Number of rows that are sent.
     pub height: u32,
-    /// Frames per acquisition.
     pub mode: AcquisitionMode,
     /// Frames of a multi-frame acquisition.
     pub frame_count: u32,
     /// The frame rate governs free running; otherwise the camera runs as fast as it can.
     pub frame_rate_enabled: bool,
-    /// What ends an exposure.
+    /// What ends an exposure: time or trigger width.
     pub exposure_mode: ExposureMode,
     /// PFNC code of the pixels.
     pub pixel_format: u32,
@@ -101,7 +97,7 @@ pub struct Settings {
     pub acquisition_triggered: bool,
     /// Exposures start on triggers, not by themselves.
     pub triggered: bool,
-    /// Which triggers.
+    /// The line or command that triggers a frame.
     pub source: TriggerSource,
     /// Triggers by command start frames, too.
     pub software: bool,
@@ -109,7 +105,7 @@ pub struct Settings {
     pub edge: Edge,
     /// From the edge to the exposure.
     pub delay: Duration,
-    /// Frames of one trigger.
+    /// Number of frames that one trigger makes.
     pub burst: u32,
     /// An exposure begins only when the last readout has ended.
     pub apart: bool,
@@ -176,17 +172,16 @@ impl Settings {
         self.triggered && self.source == TriggerSource::Action0 && !self.acquisition_triggered
     }
 
-    /// Exposure time, microseconds.
+    /// Exposure time in force, microseconds.
     pub fn exposure_us(&self) -> f64 {
         self.exposure_us
     }
 
-    /// Exposure time.
     pub fn exposure(&self) -> Duration {
         Duration::from_nanos((self.exposure_us * 1000.0).round() as u64)
     }
 
-    /// Free-running frame rate, Hz.
+    /// Frame rate without a trigger, Hz.
     pub fn frame_rate(&self) -> f64 {
         self.frame_rate
     }

@@ -30,15 +30,12 @@ pub enum Order {
     /// Start acquisition number `.0` (from 1 on), ordered at `.1`: edges count from the acknowledge on,
     /// whenever this thread gets to run.
     Start(u64, Instant, StreamSettings),
-    /// Follow these settings.
     Update(StreamSettings),
-    /// Stop acquiring.
     Stop,
     /// A software trigger at this time.
     SoftwareTrigger(Instant),
     /// The trigger of an action command.
     Action(TriggerEdge),
-    /// End the thread.
     Quit,
 }
 
@@ -52,7 +49,7 @@ struct Shot {
     exposure: Exposure,
     /// Camera clock at its start, ns.
     timestamp: u64,
-    /// The light it sees.
+    /// The instant of the sequence that the frame shows.
     instant: i64,
     /// What goes wrong with it.
     fault: Option<Fault>,
@@ -74,7 +71,7 @@ struct Acquisition {
     next_instant: i64,
     /// Start of the next free-running exposure.
     next_free_run: Option<Instant>,
-    /// Exposures of this acquisition.
+    /// Number of exposures of this acquisition.
     exposed: u64,
     /// Triggers that it still sleeps through.
     asleep: u32,
@@ -87,17 +84,14 @@ struct Acquisition {
 pub struct Streamer {
     /// Orders from the control thread.
     pub orders: Receiver<Order>,
-    /// The trigger input.
+    /// Edges at the trigger input.
     pub triggers: Receiver<TriggerEdge>,
-    /// The camera's clock.
     pub clock: Arc<CameraClock>,
-    /// Where frames go out.
+    /// The transmitter that sends the frames.
     pub transmitter: Transmitter,
-    /// The stream's socket.
     pub socket: Arc<UdpSocket>,
-    /// Frames kept for resend.
+    /// Frames that are kept for resend requests.
     pub history: Arc<History>,
-    /// Counters.
     pub statistics: Arc<Statistics>,
     /// Number of the running acquisition, 0 where none runs.
     pub running: Arc<AtomicU64>,
@@ -105,7 +99,6 @@ pub struct Streamer {
     pub first_block_id: u64,
     /// What its frames and stamps are like.
     pub habits: Habits,
-    /// Faults to inject.
     pub injector: Option<Injector>,
     /// What the control thread must know of faults.
     pub presence: Arc<Presence>,

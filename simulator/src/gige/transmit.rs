@@ -20,7 +20,6 @@ use std::time::{Duration, Instant};
 /// One image as it was or will be sent; its pixels stay with the image source.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame {
-    /// GVSP block id.
     pub block_id: u64,
     /// Camera clock at the start of the exposure, ticks.
     pub timestamp: u64,

@@ -5,7 +5,7 @@ use crate::random::Stream;
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// How delays are distributed.
+/// The distribution of a random delay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Jitter {
@@ -25,7 +25,7 @@ pub struct LineFaults {
     pub delay: Duration,
     /// And up to so much more, each by itself; messages never overtake each other.
     pub jitter: Duration,
-    /// How that is distributed.
+    /// Distribution of the delay above.
     pub distribution: Jitter,
     /// Bytes out of a million that lose or gain one bit.
     pub flips_per_million: u32,
@@ -112,7 +112,7 @@ impl Disturbance {
         self.held.front().map(|(due, _)| *due)
     }
 
-    /// Bytes on their way.
+    /// Number of bytes that are delayed at present.
     pub(super) fn held_bytes(&self) -> usize {
         self.held.iter().map(|(_, bytes)| bytes.len()).sum()
     }

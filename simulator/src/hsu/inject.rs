@@ -26,12 +26,12 @@ pub(super) struct Injector {
     last: Option<i64>,
     /// No fault by chance before this trigger.
     clear_until: i64,
-    /// What ends, and when.
+    /// When each running fault ends, and what ends it.
     ends: Vec<(Instant, Deed)>,
 }
 
 impl Injector {
-    /// Before the first train.
+    /// The injector's state before the first train.
     pub(super) fn new(faults: HsuFaults) -> Self {
         Self { faults, train: 0, last: None, clear_until: 0, ends: Vec::new() }
     }

@@ -20,7 +20,7 @@ pub(super) struct Line {
     ends: Option<(OwnedFd, TTYPort)>,
     link: PathBuf,
     transmit: VecDeque<u8>,
-    /// Nothing gets through.
+    /// Whether the line drops everything.
     silent: bool,
     /// What happens to bytes on their way to the host and from it; `None`: nothing.
     faults: Option<Faults>,

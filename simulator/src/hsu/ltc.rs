@@ -7,7 +7,7 @@ use std::str::FromStr;
 /// What is played, from the moment on in which it begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LtcSource {
-    /// The HSU's input.
+    /// Number of the HSU's input that carries the code.
     pub line: u8,
     /// The code of the first frame.
     pub first: TimeCode,
@@ -15,7 +15,7 @@ pub struct LtcSource {
     pub frames_per_second: f64,
 }
 
-/// `LINE[:HH:MM:SS:FF[@FPS]]`.
+/// Parses `LINE[:HH:MM:SS:FF[@FPS]]`, as the command line takes it.
 impl FromStr for LtcSource {
     type Err = String;
 

@@ -41,7 +41,7 @@ impl Default for HsuClock {
     }
 }
 
-/// [`HsuClock`] with its origin.
+/// An [`HsuClock`] and the time at which it began.
 #[derive(Debug, Clone, Copy)]
 struct RunningClock {
     origin: Instant,
@@ -66,7 +66,7 @@ impl RunningClock {
     }
 }
 
-/// What to simulate.
+/// Serial links, clock, inputs and faults of the unit.
 #[derive(Debug, Clone)]
 pub struct HsuOptions {
     /// Where to put a link to the serial device of each of the unit's sockets: one or two paths. A link left
@@ -76,7 +76,7 @@ pub struct HsuOptions {
     pub cameras: Vec<(usize, Sender<TriggerEdge>)>,
     /// Who the unit says it is.
     pub identity: Identity,
-    /// Its clock.
+    /// Offset and drift of its clock.
     pub clock: HsuClock,
     /// What the serial lines do to what they carry.
     pub line: Option<LineFaults>,

@@ -10,9 +10,8 @@ use rayon::prelude::{IndexedParallelIterator, ParallelIterator, ParallelSlice, P
 /// What an exposure's noise depends on.
 #[derive(Debug, Clone, Copy)]
 pub struct Exposure {
-    /// The scenario's seed.
     pub seed: u64,
-    /// The simulated instant.
+    /// Number of the simulated instant, which the seed is combined with.
     pub instant: u64,
 }
 

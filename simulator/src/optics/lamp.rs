@@ -28,7 +28,7 @@ const BLUR_STEP_PX: f64 = 0.25;
 /// No fringe of 8 px outlives more, px.
 const MOST_BLUR_PX: f64 = 4.0;
 
-/// A Gaussian blur, tabulated.
+/// A Gaussian blur of the projected pattern, as a table.
 struct Blur {
     px: f64,
     reach: usize,
@@ -148,16 +148,16 @@ fn pixel_share(distance: f64, blur_px: f64) -> f64 {
 
 /// A projector in its place.
 pub struct Lamp {
-    /// True geometry.
+    /// True position and lens of the projector.
     pub device: Device,
-    /// Its colour.
+    /// The colour channel in which it projects.
     pub channel: Channel,
     /// Its projection centre, world, m.
     pub centre: Point3<f64>,
 }
 
 impl Lamp {
-    /// A projector.
+    /// A projector with this geometry, in this colour channel.
     pub fn new(device: Device, channel: Channel) -> Self {
         let centre = device.centre();
         Self { device, channel, centre }

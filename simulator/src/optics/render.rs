@@ -21,7 +21,7 @@ pub struct Exposed<'a> {
     pub lamps: &'a [Lamp],
     /// What each of them shows.
     pub panels: &'a [PanelLight],
-    /// The scenario's numbers.
+    /// The scenario's optical constants.
     pub optics: &'a Optics,
 }
 

@@ -17,17 +17,17 @@ use rayon::prelude::{IndexedParallelIterator, ParallelIterator, ParallelSliceMut
 pub struct Sensor {
     /// Its name in the rig.
     pub id: CameraId,
-    /// True geometry.
+    /// True position and lens of the camera.
     pub device: Device,
     /// Number of its head, which is also the number of its projector.
     pub head: usize,
-    /// Its filter.
+    /// The colour channel that its filter passes.
     pub channel: Channel,
     /// Numbers of the projectors that its filter lets through; its own first.
     pub lamps: Vec<usize>,
     /// How much of each one's light it lets through.
     pub shares: Vec<f64>,
-    /// Projection centre, world, m.
+    /// Projection centre in world coordinates, m.
     pub centre: Point3<f64>,
     rotation: Rotation3<f64>,
     /// Normalized coordinates of each pixel; NaN where the distortion has no inverse.
@@ -39,11 +39,11 @@ pub struct Sensor {
 /// A point of the room behind the subject.
 #[derive(Debug, Clone, Copy)]
 pub struct RoomPoint {
-    /// World, m.
+    /// The point in world coordinates, m.
     pub point: Point3<f64>,
-    /// Towards the volume.
+    /// Unit normal that points towards the volume.
     pub normal: Vector3<f64>,
-    /// Absolute.
+    /// Albedo of the surface there, absolute.
     pub albedo: f64,
 }
 
@@ -178,7 +178,7 @@ impl Sensor {
 
 /// What one projector adds to the picture of the empty room.
 pub struct RoomLight {
-    /// Per pixel, DN.
+    /// Grey value of each pixel, row by row.
     pub dn: Vec<f32>,
     /// Per pixel, the tile of the projector's panel that lights it.
     pub panel_tile: Vec<u32>,

@@ -10,7 +10,7 @@ use std::cell::RefCell;
 /// A ray for many tests: single precision finds the triangle, the caller refines the point.
 #[derive(Debug, Clone, Copy)]
 pub struct FastRay {
-    /// Where it starts.
+    /// Origin of the ray, m.
     pub origin: [f32; 3],
     /// Where to; any length, which is the unit of the distances.
     pub direction: [f32; 3],
@@ -18,7 +18,7 @@ pub struct FastRay {
 }
 
 impl FastRay {
-    /// From origin and direction.
+    /// A ray from an origin along a direction.
     pub fn new(origin: [f32; 3], direction: [f32; 3]) -> Self {
         // A zero component gives an infinite inverse; the tiny number keeps 0 * infinity out of the slabs.
         let inverse = direction.map(|d| 1.0 / if d.abs() < 1e-20 { 1e-20 } else { d });

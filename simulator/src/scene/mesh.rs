@@ -6,13 +6,13 @@ use std::collections::HashMap;
 /// A triangle mesh in world coordinates, metres; vertices of a triangle counter-clockwise from outside.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mesh {
-    /// Vertex positions, m.
+    /// Positions of the vertices, m.
     pub positions: Vec<[f32; 3]>,
     /// Outward unit normals per vertex, for shading.
     pub normals: Vec<[f32; 3]>,
     /// Albedo per vertex relative to the subject's (1: the same).
     pub albedo: Vec<f32>,
-    /// Vertex numbers.
+    /// Three vertex numbers for each triangle.
     pub triangles: Vec<[u32; 3]>,
 }
 

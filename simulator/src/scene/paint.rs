@@ -25,14 +25,14 @@ pub enum Paint {
     },
     /// Lines and blots without a direction, about 4 mm wide.
     Lines {
-        /// Their albedo, relative.
+        /// Albedo of the lines, relative to the skin's.
         dark: f64,
-        /// Which lines.
+        /// Seed that decides where the lines are.
         seed: u64,
     },
     /// Skin and cloth seen closely: hairs of a millimetre's width, moles, a weave of 3 mm.
     Skin {
-        /// Where they are.
+        /// Seed that decides where the spots are.
         seed: u64,
     },
 }

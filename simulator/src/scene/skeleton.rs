@@ -28,7 +28,6 @@ pub enum Bone {
     FootR,
 }
 
-/// Number of bones.
 pub const BONES: usize = 17;
 
 /// Parent and rest position of the joint that a bone turns about, in the order of [`Bone`]; parents first.

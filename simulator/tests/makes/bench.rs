@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 pub const WIDTH: usize = 64;
 pub const HEIGHT: usize = 48;
 
-/// Statuses of GigE Vision.
+/// The status of GigE Vision for success.
 pub const OK: u16 = 0;
 pub const INVALID: u16 = 0x8002;
 pub const PROTECTED: u16 = 0x8004;

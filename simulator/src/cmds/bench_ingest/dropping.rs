@@ -16,7 +16,7 @@ use std::time::Duration;
 /// One of so many segments is verified before it goes: reading and checking 2 GiB takes two seconds of a core.
 const VERIFY_ONE_IN: u64 = 25;
 
-/// What was done.
+/// What was removed while the node recorded.
 #[derive(Debug, Default)]
 pub struct Dropped {
     segments: u64,
@@ -26,7 +26,7 @@ pub struct Dropped {
 }
 
 impl Dropped {
-    /// Adds its figures.
+    /// Adds its figures to the summary.
     pub fn report(&self, summary: &mut Map<String, Value>, suffix: &str) -> Result<(), Failure> {
         insert(summary, &format!("segments_dropped{suffix}"), self.segments);
         insert(summary, &format!("segments_verified{suffix}"), self.verified);

@@ -45,7 +45,7 @@ impl Program {
         Usage::of(self.child.id())
     }
 
-    /// Has it ended?
+    /// Whether the process has ended.
     pub fn ended(&mut self) -> bool {
         !matches!(self.child.try_wait(), Ok(None))
     }
@@ -85,7 +85,7 @@ impl Drop for Program {
 /// Processor time so far, seconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Usage {
-    /// In the program itself.
+    /// Processor time in user mode, seconds.
     pub user_s: f64,
     /// In the kernel on its behalf.
     pub system_s: f64,
@@ -116,7 +116,7 @@ impl Usage {
         Self { user_s: sum(&[0, 1]), system_s: sum(&[2, 5, 6, 7]) }
     }
 
-    /// User and system.
+    /// Processor time in user and system mode, seconds.
     pub fn total_s(self) -> f64 {
         self.user_s + self.system_s
     }
@@ -150,16 +150,15 @@ pub struct Reading {
 /// Cores in use on average between two readings.
 #[derive(Debug, Clone)]
 pub struct Cores {
-    /// Seconds between the readings.
+    /// Time between the two readings, seconds.
     pub seconds: f64,
-    /// Per program.
     pub programs: Vec<Usage>,
     /// By everything else on the host.
     pub others: f64,
 }
 
 impl Reading {
-    /// Reads now.
+    /// Reads the counters of these programs.
     pub fn of(programs: &[&Program]) -> Self {
         let programs = programs.iter().map(|program| program.usage()).collect();
         Self { at: Instant::now(), host: Usage::of_host(), programs }

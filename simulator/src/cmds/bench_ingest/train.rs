@@ -14,13 +14,13 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-/// What a train gave.
+/// Frames, losses and costs of one train.
 pub struct Train {
-    /// Triggers a second.
+    /// Trigger rate of the train, Hz.
     pub rate_hz: f64,
-    /// Seconds.
+    /// Length of the train, seconds.
     pub duration_s: f64,
-    /// Triggers times cameras.
+    /// Frames expected: triggers times cameras.
     pub expected: u64,
     /// Complete frames in the file.
     pub recorded: u64,
@@ -28,11 +28,11 @@ pub struct Train {
     pub high_water: u64,
     /// Latencies of the writer by the key's name, ms; null where the recorder does not tell.
     pub latencies: Vec<(&'static str, Value)>,
-    /// Recorder and simulator.
+    /// Processors that recorder and simulator kept busy.
     pub cores: Cores,
     /// GB of pixels per second of the measured time.
     pub gb_per_s: f64,
-    /// Of the host, before.
+    /// Load average of the host before the train.
     pub load_average: f64,
     /// What the recorder says besides.
     pub details: Value,
@@ -48,10 +48,9 @@ impl Train {
 /// The simulator with the cameras of one node, as a process.
 pub struct Laboratory {
     program: Program,
-    /// The node's configuration file.
     pub config: PathBuf,
     url: String,
-    /// Where sessions go.
+    /// Folder into which the node records.
     pub sessions: PathBuf,
 }
 
@@ -91,7 +90,7 @@ pub fn remove(path: &Path) -> Result<(), Failure> {
     }
 }
 
-/// How a session ends.
+/// The way in which a session ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum End {
     /// After the number of triggers asked for: the node refuses when the disk cannot hold them.

@@ -30,7 +30,7 @@ struct Packet {
     body: Vec<u8>,
 }
 
-/// A complete image.
+/// A complete image and its block id.
 struct Image {
     timestamp: u64,
     pixels: Vec<u8>,

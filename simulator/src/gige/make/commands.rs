@@ -19,13 +19,13 @@ pub enum Echo {
 /// What is written to execute a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Written {
-    /// Always this.
+    /// The register always holds this value.
     Always(u32),
     /// The value of this feature, whatever it is now.
     Of(usize),
 }
 
-/// What executes a command.
+/// The value that executes a command of this table.
 pub fn written(table: &Table, feature: &Feature) -> Written {
     match &feature.command_value {
         CommandValue::Fixed(value) => Written::Always(*value),
@@ -49,7 +49,7 @@ pub fn echo(table: &Table, feature: &Feature) -> Echo {
 }
 
 impl Make {
-    /// What executes a command.
+    /// The value that executes this command.
     pub(super) fn written(&self, index: usize) -> Written {
         written(&self.table, &self.table.features[index])
     }

@@ -10,7 +10,7 @@ use super::rules;
 use super::table::{Access, Bound, Feature, Kind};
 use std::fmt::Write;
 
-/// The document.
+/// The GenICam description of a camera, as XML.
 pub fn xml(make: &Make) -> String {
     let table = &make.table;
     let mut xml = String::new();
@@ -296,7 +296,7 @@ impl Node<'_> {
     }
 }
 
-/// What kind of register.
+/// The kind of register that a feature has.
 struct Form {
     access: Access,
     bits: Option<(u8, u8)>,

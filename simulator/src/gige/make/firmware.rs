@@ -18,9 +18,7 @@ use std::time::{Duration, Instant};
 pub enum Value {
     /// A whole number or a code.
     Integer(i64),
-    /// A floating-point number.
     Float(f64),
-    /// Text.
     Text(String),
 }
 
@@ -38,7 +36,6 @@ impl Value {
 /// A feature, and the values of its selectors when it was set.
 type Key = (usize, Vec<i64>);
 
-/// Values of one camera.
 #[derive(Debug)]
 pub struct Firmware {
     pub(super) make: Arc<Make>,
@@ -81,7 +78,6 @@ impl Firmware {
         firmware
     }
 
-    /// The GenICam description.
     pub fn description(&self) -> String {
         describe::xml(&self.make)
     }

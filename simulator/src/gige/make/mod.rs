@@ -209,7 +209,6 @@ impl Make {
         }
     }
 
-    /// Its features.
     pub fn table(&self) -> &Table {
         &self.table
     }

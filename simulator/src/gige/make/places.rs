@@ -21,7 +21,7 @@ pub enum Said {
     Min,
     /// Its largest value, 8 bytes.
     Max,
-    /// Its increment, 8 bytes.
+    /// Increment of the feature, 8 bytes.
     Inc,
     /// Its state, 4 bytes: the bits below.
     State,
@@ -94,13 +94,12 @@ pub fn find(address: u32) -> Option<Place> {
 /// A register of GigE Vision that a feature shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Link {
-    /// Its address.
     pub address: u32,
-    /// Bytes.
+    /// Length of the register, bytes.
     pub length: u32,
     /// The bits it has of it, the most significant being 0; all where there is none.
     pub bits: Option<(u8, u8)>,
-    /// It can be written.
+    /// Whether clients may write it.
     pub writable: bool,
     /// For a command: what is written.
     pub command: u32,

@@ -9,9 +9,7 @@ use super::table::{Access, Bound, Feature, Kind, Table};
 /// Range and increment of a number.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Range {
-    /// Smallest value.
     pub min: f64,
-    /// Largest value.
     pub max: f64,
     /// Increment of an integer; of a float 0, where every value is one.
     pub inc: f64,
@@ -20,9 +18,7 @@ pub struct Range {
 /// What makes firmware refuse a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Lock {
-    /// Nothing.
     Never,
-    /// A running acquisition.
     Acquiring,
     /// This automatic function, unless it is off; or the sequencer.
     Auto(&'static str),
@@ -50,7 +46,7 @@ const SOMETIMES: &[&str] =
     &["OffsetX", "OffsetY", "ReverseX", "ReverseY", "TriggerMode", "TestPattern", "TestImageSelector"];
 /// Names of the exposure time, the first of which a camera has being the one that the others are derived from.
 pub const EXPOSURE: &[&str] = &["ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw"];
-/// Names of the gain.
+/// Names that cameras use for the gain.
 pub const GAIN: &[&str] = &["Gain", "GainRaw"];
 /// Names of the frame rate.
 pub const FRAME_RATE: &[&str] = &["AcquisitionFrameRate", "AcquisitionFrameRateAbs"];
@@ -63,7 +59,7 @@ pub const GAMMA_ENABLE: &[&str] = &["GammaEnable", "GammaEnabled"];
 /// Names of the picture that replaces the sensor's.
 pub const TEST_PATTERN: &[&str] = &["TestPattern", "TestImageSelector", "IRTestPattern"];
 
-/// What locks a feature.
+/// The state in which a feature is locked.
 pub fn lock(feature: &Feature) -> Lock {
     let name = feature.name.as_str();
     if GEOMETRY.contains(&name) {

@@ -10,17 +10,11 @@ use std::path::Path;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// A whole number.
     Integer,
-    /// A floating-point number.
     Float,
-    /// One of named entries.
     Enumeration,
-    /// On or off.
     Boolean,
-    /// Something to be done.
     Command,
-    /// Text.
     String,
 }
 
@@ -28,54 +22,43 @@ pub enum Kind {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub enum Access {
-    /// Read only.
     Ro,
-    /// Read and write.
     Rw,
-    /// Write only.
     Wo,
 }
 
 /// A limit or an increment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Bound {
-    /// Not stated.
     Absent,
-    /// The camera computes it.
+    /// The camera computes it from its state.
     Depends,
-    /// A constant.
     Fixed(f64),
 }
 
 /// What is written to execute a command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CommandValue {
-    /// Always this.
+    /// The register always holds this value.
     Fixed(u32),
     /// What follows from these features; none: from something that is no feature.
     Of(Vec<String>),
 }
 
-/// One feature.
 #[derive(Debug, Clone)]
 pub struct Feature {
-    /// Its name.
     pub name: String,
-    /// Its kind.
     pub kind: Kind,
-    /// Its unit.
+    /// Physical unit of the value.
     pub unit: Option<String>,
-    /// Smallest value.
     pub min: Bound,
-    /// Largest value.
     pub max: Bound,
-    /// Increment.
     pub inc: Bound,
     /// Entries of an enumeration, in order.
     pub entries: Vec<String>,
     /// Features of which it selects one of several values; all are in the table.
     pub selects: Vec<String>,
-    /// Who may do what.
+    /// Whether clients may read and write it.
     pub access: Option<Access>,
     /// Another feature or state can lock it.
     pub locked_by: bool,
@@ -93,14 +76,12 @@ pub struct Feature {
     pub available_with: Vec<String>,
 }
 
-/// A whole table.
 #[derive(Debug, Clone)]
 pub struct Table {
     /// Vendor, as the description names it.
     pub vendor: String,
     /// Model, as the description names it.
     pub model: String,
-    /// All features, by name.
     pub features: Vec<Feature>,
 }
 

@@ -11,15 +11,13 @@ use std::time::Duration;
 /// What a trigger of a selector's entry does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Role {
-    /// Starts a frame.
     Frame,
     /// Starts a burst of frames.
     Burst,
     /// Starts a frame, and ends its exposure with the pulse.
     Bulb,
-    /// Frames wait for it.
+    /// A command without which frames are held back.
     Gate,
-    /// Ends something.
     End,
 }
 
