@@ -262,7 +262,7 @@ def short(summaries, present):
     rows = [
         ("wrong fringe orders, moving mannequins", "poses", lambda s: f"{wrong(s['wrong_order_share'])} % of the points"),
         (
-            "pixels with usable light and a whole fringe that get a point",
+            "well-lit pixels away from edges that become a point",
             "poses",
             lambda s: f"{complete(s['completeness_of_usable_whole_fringes'])} %",
         ),
