@@ -225,7 +225,7 @@ def bench_live(s):
         ])
     end = "_full_rate_alone"
     rows.append([
-        "the same, and nobody looks", "", "", "", s[f"frames_recorded{end}"], s[f"frames_lost{end}"], most(s[f"node_cpu_cores{end}"], 2),
+        "the same, without a viewer", "", "", "", s[f"frames_recorded{end}"], s[f"frames_lost{end}"], most(s[f"node_cpu_cores{end}"], 2),
     ])
     return table(["", "frame sets a second", "light to screen ms", "P99 ms", "frames recorded", "lost", "nodes' cores"], rows)
 
