@@ -225,7 +225,7 @@ def bench_live(s):
         ])
     end = "_full_rate_alone"
     rows.append([
-        "the same, and nobody looks", "", "", "", s[f"frames_recorded{end}"], s[f"frames_lost{end}"], most(s[f"node_cpu_cores{end}"], 2),
+        "the same, without a viewer", "", "", "", s[f"frames_recorded{end}"], s[f"frames_lost{end}"], most(s[f"node_cpu_cores{end}"], 2),
     ])
     return table(["", "frame sets a second", "light to screen ms", "P99 ms", "frames recorded", "lost", "nodes' cores"], rows)
 
@@ -262,7 +262,7 @@ def short(summaries, present):
     rows = [
         ("wrong fringe orders, moving mannequins", "poses", lambda s: f"{wrong(s['wrong_order_share'])} % of the points"),
         (
-            "pixels with usable light and a whole fringe that get a point",
+            "well-lit pixels away from edges that become a point",
             "poses",
             lambda s: f"{complete(s['completeness_of_usable_whole_fringes'])} %",
         ),

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The documents: a stranger finds the way from the README to a file, and every file that a document names is there.
+//! The documents: a new reader finds the way from the README to a file, and every file that a document names exists.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ fn read(path: &str) -> String {
     std::fs::read_to_string(root().join(path)).unwrap_or_else(|e| panic!("{path}: {e}"))
 }
 
-/// All documents, with their texts.
+/// Paths of all documents, with their texts.
 fn documents() -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
     for folder in ["", "docs", "docs/guide", "docs/design", "hsu-firmware-proto", "simulator", "web", "fuzz"]
@@ -43,12 +43,12 @@ fn placed(place: &str) -> String {
     of_library.filter(|file| root().join(file).exists()).unwrap_or_else(|| format!("src/{place}"))
 }
 
-/// First look: the README names the code map. Second look: a line there names the file. Its first sentence is about it.
+/// The README names the map of the code, a line of the map names the file, and the file's first sentence describes it.
 #[test]
-fn a_stranger_finds_a_stage_in_two_looks() {
+fn a_new_reader_finds_a_stage_in_two_steps() {
     assert!(read("README.md").contains("ARCHITECTURE.md"));
     let map = read("ARCHITECTURE.md");
-    for (asked, line_says, file, file_says) in [
+    for (question, on_line, file, in_file) in [
         ("what computes Wm", "computes Wm", "reconstruct/phase/demodulate.rs", "Wrapped phase Wm"),
         (
             "what decides a fringe order",
@@ -58,7 +58,7 @@ fn a_stranger_finds_a_stage_in_two_looks() {
         ),
         ("what writes a frame", "writer", "record/writer.rs", "Writes one node's recording"),
         (
-            "what says which trigger a frame is of",
+            "what decides which trigger a frame is of",
             "which trigger it is",
             "record/matcher/mod.rs",
             "Which trigger a frame belongs to",
@@ -67,10 +67,10 @@ fn a_stranger_finds_a_stage_in_two_looks() {
     ] {
         let lines = map.lines().filter(|line| line.contains(file));
         assert!(
-            lines.map(str::to_lowercase).any(|line| line.contains(&line_says.to_lowercase())),
-            "{asked}: {file}"
+            lines.map(str::to_lowercase).any(|line| line.contains(&on_line.to_lowercase())),
+            "{question}: {file}"
         );
-        assert!(file_says.is_empty() || first_sentence(&placed(file)).contains(file_says), "{file}");
+        assert!(in_file.is_empty() || first_sentence(&placed(file)).contains(in_file), "{file}");
     }
 }
 
@@ -89,7 +89,7 @@ fn files_named(text: &str) -> Vec<String> {
     quoted.chain(linked).map(str::to_owned).collect()
 }
 
-/// The names of all files of the repository's own folders.
+/// Adds the names of all files below a folder, without hidden and build folders.
 fn file_names(folder: &Path, names: &mut BTreeSet<String>) {
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
@@ -111,13 +111,13 @@ fn every_file_that_a_document_names_is_there() {
     file_names(&root(), &mut names);
     let mut missing = Vec::new();
     for (document, text) in documents() {
-        // Places are told from the document, from the root, as of a crate, or from the folder that it is about.
+        // A path starts at the document, at the root, at a crate, or at the folder that the document describes.
         let folders =
             ["", "crates/reconstruct/src", "simulator/src", "tests/it"].map(|folder| root().join(folder));
         let from = [document.parent().expect("a folder").to_path_buf()].into_iter().chain(folders);
         let from: Vec<PathBuf> = from.collect();
         for name in files_named(&text) {
-            // What commands write is there only after they ran.
+            // Output of commands exists only after they have run.
             let made = name.starts_with("target/") || name.starts_with('/');
             let there = made
                 || from.iter().any(|from| from.join(&name).exists())
@@ -131,7 +131,7 @@ fn every_file_that_a_document_names_is_there() {
     assert!(missing.is_empty(), "{}", missing.join("\n"));
 }
 
-/// Code, tables and lines with links cannot be broken; everything else can.
+/// Lines of code, tables and links are exempt, because they cannot be broken.
 #[test]
 fn lines_of_documents_are_short() {
     let mut long = Vec::new();
@@ -149,7 +149,7 @@ fn lines_of_documents_are_short() {
     assert!(long.is_empty(), "break these lines at 120 characters: {}", long.join(", "));
 }
 
-/// Where scripts/write_tables.py finds the figures of a table: `make TARGET` leaves them.
+/// `make TARGET` leaves the summary from which scripts/write_tables.py writes a table.
 #[test]
 fn tables_name_a_make_target() {
     let (validation, makefile) = (read("docs/validation.md"), read("Makefile"));
@@ -161,21 +161,24 @@ fn tables_name_a_make_target() {
     assert_eq!(targets.len(), validation.matches("<!-- end -->").count(), "each table has an end");
     for target in targets {
         let rule = format!("\n{target}:");
-        assert!(makefile.contains(&rule), "no `make {target}`, which docs/validation.md has a table of");
+        assert!(
+            makefile.contains(&rule),
+            "docs/validation.md has a table of `make {target}`, which does not exist"
+        );
     }
 }
 
-/// What the installation guide has an administrator type as the service's user: that user may write there, and has the
-/// rights that its unit gives. `scripts/try-package.sh` runs the commands in a clean Debian.
+/// Commands that the installation guide runs as the service's user: that user may write to their paths, and they use the
+/// rights of its unit. `scripts/try-package.sh` runs the commands in a clean Debian.
 #[test]
 fn the_guides_commands_have_the_rights_of_the_service() {
     let unit = read("systemd/fourdbody-node.service");
-    let said = |key: &str| {
+    let value_of = |key: &str| {
         let line = unit.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_else(|| panic!("{key}"));
         line.trim_start_matches('=').to_owned()
     };
     let guide = read("docs/guide/installing.md").replace("\\\n", " ");
-    let user = said("User");
+    let user = value_of("User");
     let tokens: Vec<&str> = guide.lines().filter(|line| line.contains(" token new ")).collect();
     assert!(!tokens.is_empty(), "the guide makes tokens");
     for line in tokens {
@@ -183,21 +186,21 @@ fn the_guides_commands_have_the_rights_of_the_service() {
         for option in ["--tokens", "--file"] {
             let words: Vec<&str> = line.split_whitespace().collect();
             let path = words.iter().position(|word| *word == option).and_then(|place| words.get(place + 1));
-            // /etc/fourdbody is root's, and where the administrator stands is theirs.
-            let own = format!("/var/lib/{}/", said("StateDirectory"));
+            // /etc/fourdbody belongs to root, and the current directory to the administrator.
+            let own = format!("/var/lib/{}/", value_of("StateDirectory"));
             assert!(path.is_some_and(|path| path.starts_with(&own)), "{option} in {line}");
         }
     }
     let doctor =
         guide.lines().find(|line| line.contains("fourdbody doctor --config")).expect("is this PC fit");
-    let capability = said("AmbientCapabilities").trim_start_matches("CAP_").to_lowercase();
+    let capability = value_of("AmbientCapabilities").trim_start_matches("CAP_").to_lowercase();
     for right in [
         format!("--reuid={user}"),
-        format!("--rtprio={}", said("LimitRTPRIO")),
+        format!("--rtprio={}", value_of("LimitRTPRIO")),
         format!("--ambient-caps=+{capability}"),
         format!("--inh-caps=+{capability}"),
     ] {
         assert!(doctor.contains(&right), "{right} in {doctor}");
     }
-    assert!(said("LimitMEMLOCK") == "infinity" && doctor.contains("--memlock=unlimited"), "{doctor}");
+    assert!(value_of("LimitMEMLOCK") == "infinity" && doctor.contains("--memlock=unlimited"), "{doctor}");
 }
