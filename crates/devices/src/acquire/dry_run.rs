@@ -45,10 +45,6 @@ impl Sink for DryRun {
         Ok(())
     }
 
-    fn tick(&mut self) -> Result<(), RecordError> {
-        Ok(())
-    }
-
     fn finish(mut self: Box<Self>, end: SessionEnd) -> Result<Verdict, RecordError> {
         let triggers = Verdict::triggers(&self.tallies, self.triggers_end, &end);
         for tally in &mut self.tallies {

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How long frames take from the stream to the disk, stage by stage.
+//! Times that frames take from the stream to the disk, stage by stage.
 
 pub use crate::base::histogram::Histogram;
 use std::fmt;
 
-/// A frame's way from the stream to the disk, stage by stage.
+/// Times of the stages of a frame's way from the stream to the disk.
 #[derive(Debug, Default)]
 pub struct Latencies {
-    /// Taken off the stream until its trigger is known.
+    /// From the stream until the frame's trigger is known.
     pub matched: Histogram,
-    /// From there until its frame set entered the ring.
+    /// From there until the frame set entered the ring.
     pub assembled: Histogram,
-    /// From there until the writer had taken it.
+    /// From there until the writer's thread had written the frame.
     pub written: Histogram,
-    /// All of it.
+    /// From the stream until the frame was written.
     pub total: Histogram,
 }
 
@@ -25,11 +25,10 @@ impl fmt::Display for Latencies {
             ("written", &self.written),
             ("total", &self.total),
         ];
-        for (i, (stage, histogram)) in stages.into_iter().enumerate() {
+        let text = stages.map(|(stage, histogram)| {
             let (p50, p99) = (histogram.quantile_ms(0.5), histogram.quantile_ms(0.99));
-            let comma = if i == 0 { "" } else { "; " };
-            write!(f, "{comma}{stage}: p50 {p50:.3} ms, p99 {p99:.3} ms, max {:.3} ms", histogram.max_ms())?;
-        }
-        Ok(())
+            format!("{stage}: p50 {p50:.3} ms, p99 {p99:.3} ms, max {:.3} ms", histogram.max_ms())
+        });
+        f.write_str(&text.join("; "))
     }
 }

@@ -75,7 +75,7 @@ impl Receiver {
             realtime::enter_configured("receiver");
             while !stopping.load(Ordering::Acquire) {
                 let frame = stream.next(patience);
-                progress.heard[camera].store(before + stream.heard(), Ordering::Relaxed);
+                progress.heard[camera].store(before + stream.activity(), Ordering::Relaxed);
                 let Some(frame) = frame else { continue };
                 progress.received[camera].fetch_add(1, Ordering::Relaxed);
                 let complete = frame.transfer == Transfer::Complete;

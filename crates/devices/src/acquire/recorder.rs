@@ -1,80 +1,55 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The recorder: what the node tells it, what it says, and the thread that keeps the accounting.
+//! The recorder: its commands and events, and the thread that keeps the accounting.
 //!
 //! One thread matches frames to triggers and accounts for them, and never waits for the disk; behind a bounded ring
-//! a second one owns the recording.
+//! a second thread owns the recording.
 
 use super::accounting::Accounting;
-use super::dry_run::DryRun;
 use super::hold::Hold;
 use super::latencies::Latencies;
 use super::preview::Taps;
 use super::receiver::Arrival;
-use super::writer_queue::{Ring, Sink};
+use super::writer_queue::Ring;
+pub use super::writer_queue::Sink;
 use crate::base::Fault;
 use crate::base::ids::CameraId;
 pub use crate::config::WhenFull;
 use crate::matcher::Matcher;
-use crate::record::{ClockSample, GapCause, NodeEvent, Recording, TriggerRecord, Verdict};
+use crate::record::{ClockSample, GapCause, NodeEvent, TriggerRecord, Verdict};
 use crossbeam_channel::{Receiver, Sender, after, select};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// What the node tells the recorder.
+/// Commands of the node to the recorder. All times are ns.
 #[derive(Debug)]
 pub enum RecorderCommand {
     /// The HSU reported a trigger.
     Trigger(TriggerRecord),
-    /// The HSU reported a warm-up trigger: its frames are recognized and not recorded.
-    WarmUp {
-        /// Its number, negative.
-        number: i64,
-        /// When it was fired, HSU clock, ns.
-        hsu_time_ns: u64,
-        /// Whether the HSU flags it as late.
-        late: bool,
-        /// When the report arrived, host clock, ns.
-        host_time_ns: u64,
-    },
-    /// Nothing was triggered until then: what cameras sent before is no trigger's.
-    Silent {
-        /// Host clock, ns.
-        until_ns: u64,
-    },
-    /// A clock exchange with the HSU or a camera, for the fits and for the record.
+    /// The HSU reported a warm-up trigger, fired at `hsu_time_ns` (HSU clock) and reported at `host_time_ns` (host clock).
+    /// Its number is negative; its frames are recognized and not recorded. `late`: the HSU flags it as late.
+    WarmUp { number: i64, hsu_time_ns: u64, late: bool, host_time_ns: u64 },
+    /// Nothing was triggered before this time (host clock): frames that arrived earlier belong to no trigger.
+    Silent { until_ns: u64 },
+    /// A clock exchange with the HSU or a camera, for the fits and for the recording.
     Clock(ClockSample),
-    /// Something happened, for the record.
+    /// An event for the recording.
     Event(NodeEvent),
-    /// A camera is away: what is missing from now on is missing for this reason.
+    /// A camera is lost: frames that are missing from now on are missing for this cause.
     CameraLost(usize, GapCause),
-    /// Why a camera is away turned out to be this.
+    /// The cause for which a lost camera is away is now known to be this one.
     CameraAway(usize, GapCause),
-    /// The camera is back: its block ids begin anew, its clock may have been reset.
-    CameraBack {
-        /// The camera.
-        camera: usize,
-        /// The number of its fresh stream; frames of the ones before are not recorded any more.
-        stream: u32,
-    },
-    /// Record was pressed: what is held from trigger `first` of the train on is the recording, which begins with it.
-    Keep {
-        /// The first.
-        first: u64,
-        /// The newest trigger of which all nodes had the frames when it was pressed.
-        pressed: u64,
-    },
-    /// No more triggers will come: wait for their frames, then say so.
-    Drain {
-        /// How many triggers there were, where the HSU said so.
-        emitted: Option<u64>,
-    },
-    /// Account for what is missing, write the verdict, close, and end.
-    Close {
-        /// Why the session did not end as asked for.
-        aborted: Option<String>,
-    },
+    /// A lost camera is back, with a fresh stream: its block ids begin anew, its clock may have been reset, and frames of
+    /// earlier streams are not recorded any more.
+    CameraBack { camera: usize, stream: u32 },
+    /// Record was pressed: the recording begins with trigger `first` of the train, as far as its frames are held.
+    /// `pressed`: the newest trigger of which all nodes had the frames at that moment.
+    Keep { first: u64, pressed: u64 },
+    /// No more triggers will come: wait for their frames, then report it. `emitted`: the HSU's count of triggers.
+    Drain { emitted: Option<u64> },
+    /// Account for what is missing, write the verdict, close, and end. `aborted`: why the session ended early.
+    Close { aborted: Option<String> },
     /// Close without a verdict and end: the recording will be removed.
     Discard,
 }
@@ -85,73 +60,63 @@ impl RecorderCommand {
     }
 }
 
-/// What the recorder tells the node.
+/// Events of the recorder for the node. `camera` is the place in the node's list.
 #[derive(Debug)]
 pub enum RecorderEvent {
     /// The frames of all triggers are in, or will not come any more.
     Drained,
-    /// The ring was full for the first time, and the configuration says to stop then.
-    RingFull {
-        /// Why, where it was not the disk.
-        why: Option<String>,
-    },
-    /// What a camera's frames are of is in doubt: its clock should be read now.
-    Doubtful {
-        /// Its place in the node's list.
-        camera: usize,
-    },
-    /// The warm-up is over, and whether a camera's place in the train is known.
-    Place {
-        /// Its place in the node's list.
-        camera: usize,
-        /// Why it is not; `None`: it is, after it was not.
-        unknown: Option<String>,
-    },
+    /// The ring was full for the first time, and the configuration requires a stop. `why`: the cause, where it was not the
+    /// disk.
+    RingFull { why: Option<String> },
+    /// The trigger of a camera's frame is in doubt: the camera's clock should be read now.
+    Doubtful { camera: usize },
+    /// The warm-up is over. `unknown`: why the camera's place in the train is not known; `None`: it has become known.
+    Place { camera: usize, unknown: Option<String> },
     /// Writing failed: nothing more can be recorded.
     Failed(Fault),
-    /// The recording is closed.
+    /// The recording is closed, with this verdict.
     Closed(Result<Verdict, Fault>),
 }
 
-/// Counters that others may look at while the recorder runs.
-#[derive(Debug)]
+/// Counters that other threads read while the recorder runs. Lists have one entry per camera, in the node's order.
+#[derive(Debug, Default)]
 pub struct Progress {
     /// Triggers reported; where frames are held, those from the recording's first on.
     pub triggers: AtomicU64,
-    /// Where frames are held before Record: the oldest trigger that is.
+    /// The oldest trigger whose frames are held before Record.
     pub held_from: AtomicU64,
-    /// One more than the newest.
+    /// One more than the newest trigger whose frames are held before Record.
     pub held_to: AtomicU64,
-    /// Frames of all cameras that may be held.
+    /// Room for held frames, of all cameras together.
     pub held_room: AtomicU64,
-    /// Packets (or whatever else shows that it sends) seen from each camera: the receivers count them.
+    /// Packets received from each camera, or frames where the transport has no packets.
     pub heard: Vec<AtomicU64>,
-    /// Frames taken off each camera's stream, whatever became of them.
+    /// Frames taken from each camera's stream, complete or not.
     pub received: Vec<AtomicU64>,
     /// Frames written, per camera.
     pub frames: Vec<AtomicU64>,
     /// Gap records written, per camera.
     pub gaps: Vec<AtomicU64>,
-    /// The same by cause, per camera: in the order of [`GapCause::ALL`].
+    /// Gap records written per camera and cause, in the order of [`GapCause::ALL`].
     pub causes: Vec<[AtomicU64; GapCause::ALL.len()]>,
-    /// Times that the thread which keeps the accounting went round: grows as long as it lives.
+    /// Turns of the matching thread: the count grows as long as the thread lives.
     pub recorder_turns: AtomicU64,
-    /// Times that the writer's thread went round.
+    /// Turns of the writer's thread: the count grows as long as the thread lives.
     pub writer_turns: AtomicU64,
     /// Most frames that were waiting at any time, in the ring or before it.
     pub high_water: AtomicU64,
-    /// Most frames that were in the ring at any time, beyond those that are held for Record.
+    /// Most frames that were in the ring at any time, without those that are held for Record.
     pub ring_high_water: AtomicU64,
-    /// Frames in the ring now, those that are held for Record among them.
+    /// Frames in the ring now, including those that are held for Record.
     pub ring: AtomicU64,
     /// Frames dropped because the ring was full.
     pub dropped: AtomicU64,
-    /// How long frames took.
+    /// Times that frames took, stage by stage.
     pub latencies: Latencies,
 }
 
 impl Progress {
-    /// Frames that wait for the writer, beyond those that are held for Record.
+    /// Frames that wait for the writer, without those that are held for Record.
     pub fn in_ring(&self) -> u64 {
         self.ring.load(Ordering::Relaxed).saturating_sub(self.held_room.load(Ordering::Relaxed))
     }
@@ -164,26 +129,16 @@ impl Progress {
         }
     }
 
-    /// All zero.
+    /// Counters at zero for this number of cameras.
     pub fn new(cameras: usize) -> Self {
         let zeros = || (0..cameras).map(|_| AtomicU64::new(0)).collect();
         Self {
-            triggers: AtomicU64::new(0),
-            held_from: AtomicU64::new(0),
-            held_to: AtomicU64::new(0),
-            held_room: AtomicU64::new(0),
             heard: zeros(),
             received: zeros(),
             frames: zeros(),
             gaps: zeros(),
             causes: (0..cameras).map(|_| Default::default()).collect(),
-            recorder_turns: AtomicU64::new(0),
-            writer_turns: AtomicU64::new(0),
-            high_water: AtomicU64::new(0),
-            ring_high_water: AtomicU64::new(0),
-            ring: AtomicU64::new(0),
-            dropped: AtomicU64::new(0),
-            latencies: Latencies::default(),
+            ..Self::default()
         }
     }
 }
@@ -248,27 +203,18 @@ impl RecorderOptions {
     }
 }
 
-/// A camera's name, image size and matcher.
+/// A camera's name, image size in pixels, and matcher.
 pub struct LaneSetup {
-    /// The camera.
     pub id: CameraId,
-    /// Columns.
     pub width: u32,
-    /// Rows.
     pub height: u32,
-    /// Its matcher.
     pub matcher: Matcher,
 }
 
-/// Where frames go.
-pub enum Destination {
-    /// To the disk.
-    Recording(Box<Recording>),
-    /// Nowhere: they are counted.
-    DryRun(Box<DryRun>),
-}
-
-/// The recorder's side of a session.
+/// The recorder of one session: the thread that matches frames to triggers and accounts for them. The node starts it when
+/// the cameras are armed. It owns the accounting, and the writer's thread behind it owns the recording. It promises that
+/// every trigger of every camera ends with a frame or a gap record. It ends with [`RecorderCommand::Close`] or
+/// [`RecorderCommand::Discard`], or when all senders of commands are gone.
 pub struct Recorder {
     accounting: Accounting,
     progress: Arc<Progress>,
@@ -276,39 +222,21 @@ pub struct Recorder {
     commands: Receiver<RecorderCommand>,
 }
 
-/// Without news the thread looks at what waits this often.
+/// Longest sleep of the matching thread: then it checks the frames that wait.
 pub(super) const TICK: Duration = Duration::from_millis(10);
 
-/// What a recorder hears and says.
+/// The channels of a recorder: frames of the receivers, commands of the node, and events for the node.
 #[derive(Debug)]
 pub struct Channels {
-    /// Frames, from the cameras' receivers.
     pub arrivals: Receiver<Arrival>,
-    /// From the node.
     pub commands: Receiver<RecorderCommand>,
-    /// To the node.
     pub events: Sender<RecorderEvent>,
 }
 
 impl Recorder {
-    /// Starts the threads. The handle is that of the first one, which waits for the second. Previews and the live body look
-    /// at the frames through `taps`.
+    /// Starts the threads, which write to `sink`: a recording, or a dry run. The handle is that of the matching thread,
+    /// which waits for the writer's. Previews and the live body take samples of the frames through `taps`.
     pub fn start(
-        destination: Destination,
-        taps: [Arc<Taps>; 2],
-        lanes: Vec<LaneSetup>,
-        options: RecorderOptions,
-        progress: Arc<Progress>,
-        channels: Channels,
-    ) -> std::io::Result<JoinHandle<()>> {
-        let sink: Box<dyn Sink> = match destination {
-            Destination::Recording(recording) => recording,
-            Destination::DryRun(run) => run,
-        };
-        Self::start_with(sink, taps, lanes, options, progress, channels)
-    }
-
-    pub(super) fn start_with(
         sink: Box<dyn Sink>,
         taps: [Arc<Taps>; 2],
         lanes: Vec<LaneSetup>,
@@ -336,14 +264,14 @@ impl Recorder {
             select! {
                 recv(self.arrivals) -> arrival => match arrival {
                     Ok(arrival) => {
-                        // What was said before a frame arrived comes first: reports, clocks, a fresh stream.
-                        if let Some(last) = self.handle_all() {
-                            self.accounting.frame_arrived(arrival, waiting);
+                        // Commands that were sent before the frame arrived come first: reports, clocks, a fresh stream.
+                        let last = self.handle_all();
+                        self.accounting.frame_arrived(arrival, waiting);
+                        if let Some(last) = last {
                             return self.end(last);
                         }
-                        self.accounting.frame_arrived(arrival, waiting);
                     }
-                    // The receivers are gone; their last words are commands.
+                    // The receivers have ended; the last command is still to come.
                     Err(_) => self.arrivals = crossbeam_channel::never(),
                 },
                 recv(self.commands) -> command => match command {
@@ -357,7 +285,7 @@ impl Recorder {
         }
     }
 
-    /// Obeys what has been said so far; a last word is returned.
+    /// Handles all commands that wait; returns the last command of the session if it is among them.
     fn handle_all(&mut self) -> Option<RecorderCommand> {
         while let Ok(command) = self.commands.try_recv() {
             if command.is_last() {

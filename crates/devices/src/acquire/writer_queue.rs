@@ -28,7 +28,7 @@ const TICK: Duration = Duration::from_millis(20);
 
 /// A frame whose trigger is known.
 #[derive(Debug)]
-pub(super) struct ReadyFrame {
+pub struct ReadyFrame {
     pub(super) camera: usize,
     pub(super) meta: FrameMeta,
     pub(super) block: Block,
@@ -37,9 +37,9 @@ pub(super) struct ReadyFrame {
     pub(super) since: Instant,
 }
 
-/// What the recording is told, in order.
+/// A record for the recording, in order.
 #[derive(Debug)]
-pub(super) enum ToWriter {
+pub enum ToWriter {
     Frame(ReadyFrame),
     Gap(usize, TriggerIndex, GapCause),
     Trigger(TriggerRecord),
@@ -48,10 +48,15 @@ pub(super) enum ToWriter {
     End(SessionEnd),
 }
 
-/// What can be written to: a recording, or a stand-in for it in tests.
-pub(super) trait Sink: Send + 'static {
+/// The destination of a session: a recording, a dry run, or a stand-in in tests.
+pub trait Sink: Send + 'static {
+    /// Writes one record, or accounts for a frame that cannot be written.
     fn write(&mut self, item: ToWriter) -> Result<(), RecordError>;
-    fn tick(&mut self) -> Result<(), RecordError>;
+    /// Keeps the durability bound while nothing is written.
+    fn tick(&mut self) -> Result<(), RecordError> {
+        Ok(())
+    }
+    /// Closes the session, and gives its verdict.
     fn finish(self: Box<Self>, end: SessionEnd) -> Result<Verdict, RecordError>;
 }
 

@@ -14,14 +14,12 @@ use super::canary::Canaries;
 use super::chunks::first_chunk;
 use super::contract::{Breach, Chunks, FrameContract, FrameForm, Payload};
 use super::device_clock::{self, DeviceClock};
-use super::features::{Failed, Features, read_state};
+use super::features::{Failed, Features, or_reason};
 use super::packet_size;
-use super::profile::trigger_lines;
-use super::set_up::{changed, set_up};
 use super::unpack::{take_plane, unpack};
 use super::{
-    Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, Change,
-    FrameStream, PacketTest, Received, SetUp, State, StreamOptions, Transfer, Wishes,
+    Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, FrameStream,
+    PacketTest, Received, StreamOptions, Transfer,
 };
 use crate::base::ids::{BlockId, one_line};
 use crate::config::SocketMode;
@@ -48,7 +46,6 @@ mod test_packets;
 const SIDE_MAX: usize = 1 << 20;
 /// No stream has smaller packets: the headers take up to 48 bytes.
 const PACKET_LEAST: u32 = 128;
-const READING_PACKET_SIZE: &str = "reading the packet size";
 
 /// The cameras that Aravis can reach.
 #[derive(Debug, Default)]
@@ -159,15 +156,15 @@ impl AravisCamera {
         }
     }
 
-    /// Whether a packet of the size that the camera has made of the one asked for holds more than its headers: Aravis divides
-    /// a frame by what is left, and ends the process where that is nothing.
-    fn packets_have_room(&self) -> Result<(), CameraError> {
-        let Some(gv) = self.device.downcast_ref::<aravis::GvDevice>() else { return Ok(()) };
-        let bytes = gv.packet_size().map_err(link_error(READING_PACKET_SIZE))?;
-        match bytes >= PACKET_LEAST {
-            true => Ok(()),
-            false => Err(CameraError::Nonsense {
-                doing: READING_PACKET_SIZE,
+    /// The packet size that the camera made of the requested one; `None` for other transports. Aravis divides a frame by
+    /// the payload of a packet, and would end the process where nothing is left beside the headers.
+    fn packet_bytes(&self) -> Result<Option<usize>, CameraError> {
+        const DOING: &str = "reading the packet size";
+        let Some(gv) = self.device.downcast_ref::<aravis::GvDevice>() else { return Ok(None) };
+        match gv.packet_size().map_err(link_error(DOING))? {
+            bytes if bytes >= PACKET_LEAST => Ok(Some(bytes as usize)),
+            bytes => Err(CameraError::Nonsense {
+                doing: DOING,
                 detail: format!("packets of {bytes} bytes, headers counted in"),
             }),
         }
@@ -196,30 +193,14 @@ impl Camera for AravisCamera {
         Some(CameraError::NotOurs { holder, detail: "its control channel was lost".to_owned() })
     }
 
-    fn set_up(&mut self, wishes: &Wishes) -> Result<SetUp, CameraError> {
-        set_up(self, wishes)
-    }
-
-    fn trigger_lines(&self) -> Vec<String> {
-        trigger_lines(self)
-    }
-
-    fn state(&mut self) -> Result<State, CameraError> {
-        read_state(self)
-    }
-
-    fn changed(&mut self, watched: &State) -> Result<Vec<Change>, CameraError> {
-        changed(self, watched)
+    fn features(&self) -> &dyn Features {
+        self
     }
 
     fn image_size(&mut self) -> Result<(usize, usize), CameraError> {
         const DOING: &str = "reading the image size";
-        let read = |feature| match self.integer(feature) {
-            Ok(value) => Ok(value),
-            Err(Failed::Lost(error)) => Err(error),
-            Err(Failed::Refused(detail) | Failed::Nonsense(detail)) => {
-                Err(CameraError::Link { doing: DOING, detail })
-            }
+        let read = |feature| {
+            or_reason(self.integer(feature))?.map_err(|detail| CameraError::Link { doing: DOING, detail })
         };
         let (width, height) = (read("Width")?, read("Height")?);
         let side = |pixels: i64| usize::try_from(pixels).ok().filter(|side| (1..=SIDE_MAX).contains(side));
@@ -230,15 +211,16 @@ impl Camera for AravisCamera {
     }
 
     fn sample_clock(&mut self) -> Result<Option<CameraClockSample>, CameraError> {
+        const DOING: &str = "reading its clock";
         let clock = match &self.clock {
             Some(known) => known.clone(),
-            None => self.clock.insert(device_clock::find(self)?).clone(),
+            None => self.clock.insert(or_reason(device_clock::find(self))?).clone(),
         };
         let Ok(clock) = clock else { return Ok(None) };
         clock.sample(self).map(Some).map_err(|failed| match failed {
             Failed::Lost(error) => error,
-            Failed::Refused(detail) => CameraError::Link { doing: "reading its clock", detail },
-            Failed::Nonsense(detail) => CameraError::Nonsense { doing: "reading its clock", detail },
+            Failed::Refused(detail) => CameraError::Link { doing: DOING, detail },
+            Failed::Nonsense(detail) => CameraError::Nonsense { doing: DOING, detail },
         })
     }
 
@@ -265,10 +247,10 @@ impl Camera for AravisCamera {
         let is_gigevision = self.device.is::<aravis::GvDevice>();
         if is_gigevision {
             self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::Never);
-            // A size that the camera does not take is no loss of its link.
-            packet_size::set(self, options.packet_bytes)?
+            // A size that the camera refuses is a problem of its set-up, not of its link.
+            or_reason(packet_size::set(self, options.packet_bytes))?
                 .map_err(|problem| CameraError::SetUp { problems: vec![problem] })?;
-            self.packets_have_room()?;
+            self.packet_bytes()?;
             let socket = match options.socket {
                 SocketMode::Auto => aravis::GvStreamOption::NONE,
                 SocketMode::Standard => aravis::GvStreamOption::PACKET_SOCKET_DISABLED,
@@ -280,14 +262,9 @@ impl Camera for AravisCamera {
             tune(gv, options.period_ns);
             self.restrict(gv, options.socket)?;
         }
-        let canaries = match self.device.downcast_ref::<aravis::GvDevice>() {
-            // The size that the camera made of the one asked for: packets have their places by it.
-            Some(gv) => {
-                let bytes = gv.packet_size().map_err(link_error(READING_PACKET_SIZE))?;
-                Some(Canaries::new(options.contract.sent_bytes(), usize::try_from(bytes).unwrap_or(0)))
-            }
-            None => None,
-        };
+        // The marks lie at the ends of packets, so they follow from the size that the camera made of the requested one.
+        let marks = |bytes| Canaries::new(options.contract.sent_bytes(), bytes);
+        let canaries = self.packet_bytes()?.map(marks);
         Ok(Box::new(AravisStream::new(stream, blocks, canaries, options.contract)))
     }
 
@@ -528,7 +505,7 @@ impl FrameStream for AravisStream {
         Some(received)
     }
 
-    fn heard(&self) -> u64 {
+    fn activity(&self) -> u64 {
         // USB3 Vision has no packets.
         let packets = self.count("n_received_packets").unwrap_or(0);
         if packets > 0 { packets } else { self.count("n_completed_buffers").unwrap_or(0) }

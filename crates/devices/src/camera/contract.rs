@@ -2,7 +2,7 @@
 //! What a frame is: one image of grey, of the format, the size and at the place that were verified when its camera was
 //! prepared, and nothing beside it. A frame that is anything else is never recorded.
 
-use crate::config::Pixel;
+use crate::config::{Mosaic, Pixel};
 use std::fmt;
 
 /// What every frame of a stream must be.
@@ -188,23 +188,16 @@ impl FrameContract {
     }
 }
 
-/// Names of formats that no session takes, and that cameras have most often.
-const OTHERS: [(u32, &str); 8] = [
-    (0x0108_0008, "BayerGR8"),
-    (0x0108_0009, "BayerRG8"),
-    (0x0108_000a, "BayerGB8"),
-    (0x0108_000b, "BayerBG8"),
-    (0x0218_0014, "RGB8"),
-    (0x0218_0015, "BGR8"),
-    (0x0210_001f, "YUV422_8_UYVY"),
-    (0x0210_0032, "YUV422_8"),
-];
+/// Names of the formats that cameras have most often and no session records.
+const OTHERS: [(u32, &str); 4] =
+    [(0x0218_0014, "RGB8"), (0x0218_0015, "BGR8"), (0x0210_001f, "YUV422_8_UYVY"), (0x0210_0032, "YUV422_8")];
 
-/// A pixel format's name, and its code where it has none here.
+/// A pixel format's name, or its PFNC code where the name is not known here.
 pub fn format_name(code: u32) -> String {
-    let grey = Pixel::GREY.iter().find(|pixel| pixel.code() == code).map(|pixel| pixel.name());
-    let known = grey.or_else(|| OTHERS.iter().find(|(known, _)| *known == code).map(|(_, name)| *name));
-    known.map_or_else(|| format!("pixel format {code:#010x}"), str::to_owned)
+    let known = Pixel::GREY.into_iter().chain(Mosaic::ALL.map(Pixel::Bayer8));
+    let known = known.map(|pixel| (pixel.code(), pixel.name())).chain(OTHERS);
+    let mut named = known.filter(|(known, _)| *known == code);
+    named.next().map_or_else(|| format!("pixel format {code:#010x}"), |(_, name)| name.to_owned())
 }
 
 impl fmt::Display for Breach {

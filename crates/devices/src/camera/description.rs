@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a camera says of its own features: names, kinds, entries and bounds, without their values.
 
+use std::fmt;
+
 /// What kind of value a feature has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
@@ -42,7 +44,21 @@ pub struct Bounds {
     pub step: Option<f64>,
 }
 
-/// One feature.
+impl Bounds {
+    /// Whether a number lies outside the stated limits.
+    pub fn exclude(&self, number: f64) -> bool {
+        self.min.is_some_and(|min| number < min) || self.max.is_some_and(|max| number > max)
+    }
+}
+
+impl fmt::Display for Bounds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let edge = |bound: Option<f64>| bound.map_or_else(|| "any".to_owned(), |bound| bound.to_string());
+        write!(f, "{} to {}", edge(self.min), edge(self.max))
+    }
+}
+
+/// One feature of a camera, as its description has it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Feature {
     /// What kind of value it has.
@@ -93,8 +109,8 @@ pub fn plain(name: &str) -> String {
 const LISTED: usize = 24;
 
 /// Names, separated by commas.
-pub fn list(names: &[String]) -> String {
-    let mut text = names.iter().take(LISTED).map(String::as_str).collect::<Vec<_>>().join(", ");
+pub fn list(names: &[impl AsRef<str>]) -> String {
+    let mut text = names.iter().take(LISTED).map(AsRef::as_ref).collect::<Vec<_>>().join(", ");
     if names.len() > LISTED {
         text += &format!(" and {} more", names.len() - LISTED);
     }

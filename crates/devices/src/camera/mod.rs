@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Cameras: settings, and streams of frames into our own memory.
+//! Cameras: settings, and streams of frames into this program's memory.
 //!
 //! Nothing above this layer may assume Ethernet: Aravis drives USB3 Vision cameras through the same calls.
 //! [`aravis`] is the only module that names Aravis and is compiled with the feature of that name.
@@ -14,32 +14,27 @@ mod contract;
 pub mod description;
 #[cfg(feature = "aravis")]
 mod device_clock;
-#[cfg(feature = "aravis")]
 mod features;
-#[cfg(feature = "aravis")]
 mod packet_size;
 #[cfg(feature = "aravis")]
 mod packet_test;
 pub mod profile;
 mod quiet;
-#[cfg(feature = "aravis")]
 mod set_up;
 mod settings;
 #[cfg(feature = "aravis")]
 mod source_filter;
 mod state;
-#[cfg(feature = "aravis")]
 mod triggers;
 #[cfg(feature = "aravis")]
 mod unpack;
-#[cfg(feature = "aravis")]
 mod verify;
-#[cfg(feature = "aravis")]
 mod write_amount;
 
 #[cfg(feature = "aravis")]
 pub use self::aravis::AravisCameras;
 pub use contract::{Breach, Chunks, FrameContract, FrameForm, ImageForm, Payload};
+pub use features::Features;
 pub use profile::Wishes;
 pub use quiet::quiet_stream;
 pub use settings::{AppliedSetting, SetUp, matches};
@@ -51,175 +46,146 @@ use crate::host::frame_memory::Block;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
-/// One camera found on the network or the bus.
+/// A camera that was found on the network or the bus, not opened.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CameraListing {
-    /// Aravis device id.
+    /// The camera's id in Aravis.
     pub id: String,
     /// IP address, or the bus address of a USB camera.
     pub address: String,
-    /// Manufacturer.
+    /// Name of the manufacturer.
     pub vendor: String,
-    /// Model.
+    /// Name of the model.
     pub model: String,
-    /// Serial number.
+    /// Serial number of the camera.
     pub serial: String,
-    /// "GigEVision", "USB3Vision", ...
+    /// Name of the transport: "GigEVision", "USB3Vision", ...
     pub protocol: String,
 }
 
-/// Who an opened camera says it is.
+/// Vendor, model and serial number of an opened camera.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct CameraIdentity {
-    /// Manufacturer.
+    /// Name of the manufacturer, as the camera reports it.
     pub vendor: String,
-    /// Model.
+    /// Name of the model, as the camera reports it.
     pub model: String,
-    /// Serial number.
+    /// Serial number, as the camera reports it.
     pub serial: String,
 }
 
-/// A camera failure, with what the operator can do about it.
+/// A camera failure, with what the operator can do about it. `detail` is the error text of Aravis.
 #[derive(Debug, thiserror::Error)]
 pub enum CameraError {
-    /// Nothing answers at the address.
+    /// No camera answers at the configured address.
     #[error(
         "no camera answers at {address} ({detail}); check its power and cable, and the address in the node file"
     )]
-    NotFound {
-        /// As configured.
-        address: String,
-        /// What Aravis said.
-        detail: String,
-    },
-    /// Another program holds the control privilege.
+    NotFound { address: String, detail: String },
+    /// Another program holds the control privilege; `holder` is its address and port, where the camera reports it.
     #[error(
         "the camera at {address} is controlled by another program{}; close that program, or wait until its heartbeat times out",
         holder.as_ref().map(|host| format!(" on {host}")).unwrap_or_default()
     )]
-    Owned {
-        /// As configured.
-        address: String,
-        /// Address and port of that program, where the camera tells.
-        holder: Option<String>,
-    },
-    /// The camera answers, and refuses what only its controller may do.
+    Owned { address: String, holder: Option<String> },
+    /// The camera answers, but refuses commands that only its controller may give. `holder`: address and port of the
+    /// controlling program, where there is one and the camera reports it.
     #[error(
         "the camera is not under our control any more ({detail}){}; close the program that took it",
         holder.as_ref().map(|host| format!(": {host} controls it")).unwrap_or_default()
     )]
-    NotOurs {
-        /// Address and port of the controlling program, where there is one and the camera tells.
-        holder: Option<String>,
-        /// What Aravis said.
-        detail: String,
-    },
-    /// It cannot be set as the node file says, or would not send what a session records.
+    NotOurs { holder: Option<String>, detail: String },
+    /// The camera cannot be set as the node file requests, or would not send what a session records. Each problem has
+    /// its feature, its value and its remedy.
     #[error("it cannot be used as it is:\n  {}", problems.join("\n  "))]
-    SetUp {
-        /// Each with its feature, its value and its remedy.
-        problems: Vec<String>,
-    },
-    /// Communication failed.
+    SetUp { problems: Vec<String> },
+    /// The communication with an opened camera failed.
     #[error(
         "communication with the camera failed while {doing} ({detail}); check its power, cable and switch"
     )]
-    Link {
-        /// What was being done.
-        doing: &'static str,
-        /// What Aravis said.
-        detail: String,
-    },
-    /// It answers what no camera can mean.
+    Link { doing: &'static str, detail: String },
+    /// The camera's answer cannot be true, as an image without rows.
     #[error(
-        "the camera answers nonsense while {doing} ({detail}); restart it, and where it does so again have its firmware \
-         looked at by its vendor"
+        "the camera answers nonsense while {doing} ({detail}); restart it, and if that does not help ask its vendor for \
+         other firmware"
     )]
-    Nonsense {
-        /// What was being done.
-        doing: &'static str,
-        /// What it said.
-        detail: String,
-    },
-    /// It sends test packets, and none arrives.
+    Nonsense { doing: &'static str, detail: String },
+    /// The camera sends test packets, and none arrives. `patience_ms`: the wait for packets of one size.
     #[error(
         "no test packet of the camera arrives, of whatever size, within {patience_ms} ms; look for a firewall that drops \
-         them, see `fourdbody doctor`, and whether the camera has a way to this host's address"
+         them, see `fourdbody doctor`, and whether the camera has a route to this host's address"
     )]
-    NoTestPackets {
-        /// How long was waited for the packets of one size, ms.
-        patience_ms: u128,
-    },
-    /// This host has no memory for its frames.
+    NoTestPackets { patience_ms: u128 },
+    /// This host has no memory for the camera's frames.
     #[error("{0}")]
     Memory(String),
 }
 
-/// What test packets have shown.
+/// The result of a test of packet sizes, bytes with IP and UDP headers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PacketTest {
-    /// The largest packet that arrived, IP and UDP headers counted in.
+    /// The largest packet that arrived, bytes with IP and UDP headers.
     pub arrived: u32,
-    /// The largest that the camera sends, where that is less than what was asked.
+    /// The largest packet that the camera sends, where that is less than requested.
     pub camera_takes: Option<u32>,
 }
 
-/// How a stream is to be set up.
+/// The parameters of a stream.
 #[derive(Debug, Clone)]
 pub struct StreamOptions {
     /// What every frame must be, as verified.
     pub contract: FrameContract,
-    /// GVSP packet size, bytes.
+    /// GVSP packet size, bytes with IP and UDP headers.
     pub packet_bytes: u32,
-    /// How packets are received.
+    /// Which kind of socket receives the packets.
     pub socket: SocketMode,
     /// Trigger period, ns: the scale of every timeout.
     pub period_ns: u64,
 }
 
-/// One reading of a camera's clock between two readings of the host's.
+/// One reading of a camera's clock between two readings of the host's clock.
 #[derive(Debug, Clone, Copy)]
 pub struct CameraClockSample {
     /// Host clock (CLOCK_MONOTONIC) before the request, ns.
     pub host_before_ns: u64,
-    /// Camera clock, ns.
+    /// The camera's own clock, ns.
     pub camera_ns: u64,
     /// Host clock (CLOCK_MONOTONIC) after the answer, ns.
     pub host_after_ns: u64,
 }
 
-/// What became of a frame's transfer.
+/// The outcome of a frame's transfer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Transfer {
-    /// All bytes arrived.
+    /// All bytes arrived, and the frame keeps its contract.
     Complete,
-    /// Packets are missing.
+    /// Packets of the frame are missing.
     MissingPackets,
-    /// The transfer stalled.
+    /// The transfer did not end in time.
     Timeout,
-    /// The transport gave the frame up because it has another size than agreed.
+    /// Aravis dropped the frame because its size differs from the buffer's.
     SizeMismatch,
-    /// It arrived, and is not what was agreed.
+    /// All bytes arrived, but the frame breaks its contract.
     Breach(Breach),
-    /// All bytes are said to have arrived, but a part of the block was not written.
+    /// Aravis reports all bytes, but a part of the block was not written.
     Unwritten,
-    /// The stream was stopped in the middle.
+    /// The stream was stopped during the transfer.
     Aborted,
 }
 
-/// One frame as it left the stream. Its memory goes back to the stream's pool when `block` is dropped.
+/// One frame as it left the stream. Its memory returns to the stream's pool when `block` is dropped.
 #[derive(Debug)]
 pub struct Received {
-    /// What became of the transfer.
+    /// The outcome of the transfer.
     pub transfer: Transfer,
-    /// GVSP block id.
+    /// The camera's frame number (GVSP block id).
     pub block_id: BlockId,
-    /// Start of exposure on the camera's clock, ns; 0 where it has no stamp of the camera.
+    /// Start of exposure on the camera's clock, ns; 0 where the frame has no timestamp of the camera.
     pub camera_ns: u64,
-    /// When the frame's first packet was seen, host clock (CLOCK_REALTIME), ns.
+    /// When the frame's first packet arrived, host clock (CLOCK_REALTIME), ns.
     pub host_ns: u64,
-    /// The memory; the pixels are valid when the transfer is complete.
+    /// The frame's memory; its pixels are valid when the transfer is complete.
     pub block: Block,
 }
 
@@ -232,57 +198,66 @@ pub trait CameraBackend: Send {
     fn open(&mut self, address: &str) -> Result<Box<dyn Camera>, CameraError>;
 }
 
-/// An opened camera.
+/// An opened camera. The backend makes it; whoever opened it owns it, sets it up, and creates its streams. Control of
+/// the camera ends when it is dropped.
 pub trait Camera: Send {
-    /// Who it is.
+    /// Vendor, model and serial number.
     fn identity(&self) -> &CameraIdentity;
 
-    /// Whether we still control it.
+    /// Features and registers of the camera.
+    fn features(&self) -> &dyn Features;
+
+    /// Whether this program still controls the camera.
     fn is_alive(&self) -> bool;
 
-    /// The error that says who controls it instead of us, where the transport knows of such a thing and the camera
-    /// answers; for a camera that is not alive.
-    fn not_ours(&self) -> Option<CameraError> {
-        None
-    }
+    /// For a camera that is not alive: the error that names its controller, where the transport has such a privilege and
+    /// the camera answers.
+    fn not_ours(&self) -> Option<CameraError>;
 
-    /// Brings it into a known state, sets it as the node file says, and asks it whether it then is as a session needs it.
+    /// Brings the camera into a known state, sets it as the node file requests, and verifies what it will send.
     ///
     /// # Errors
     /// [`CameraError::SetUp`] with every problem.
-    fn set_up(&mut self, wishes: &Wishes) -> Result<SetUp, CameraError>;
+    fn set_up(&mut self, wishes: &Wishes) -> Result<SetUp, CameraError> {
+        set_up::set_up(self.features(), wishes)
+    }
 
-    /// The inputs that a trigger's wire can be put to, as it calls them, the likeliest first.
-    fn trigger_lines(&self) -> Vec<String>;
+    /// The inputs that a trigger's wire can be connected to, by the camera's names, the likeliest first.
+    fn trigger_lines(&self) -> Vec<String> {
+        profile::trigger_lines(self.features())
+    }
 
-    /// Everything that can be read of it.
-    fn state(&mut self) -> Result<State, CameraError>;
+    /// All features that can be read, with their values.
+    fn state(&mut self) -> Result<State, CameraError> {
+        features::read_state(self.features())
+    }
 
-    /// What is not as it was when it was set up ([`SetUp::watched`]).
-    fn changed(&mut self, watched: &State) -> Result<Vec<Change>, CameraError>;
+    /// The watched features ([`SetUp::watched`]) that have changed since the set-up.
+    fn changed(&mut self, watched: &State) -> Result<Vec<Change>, CameraError> {
+        set_up::changed(self.features(), watched)
+    }
 
-    /// Columns and rows of its images as set now; an error where they are those of no image.
+    /// Columns and rows of the images as the camera is set now.
+    ///
+    /// # Errors
+    /// The camera does not answer, or the size is that of no image.
     fn image_size(&mut self) -> Result<(usize, usize), CameraError>;
 
-    /// Reads its clock; `None` where it has none that can be read ([`Self::why_no_clock`]).
+    /// Reads the camera's clock; `None` where it has none that can be read ([`Self::why_no_clock`]).
     fn sample_clock(&mut self) -> Result<Option<CameraClockSample>, CameraError>;
 
-    /// Why its clock cannot be read, once [`Self::sample_clock`] has found out.
+    /// Why the clock cannot be read, once [`Self::sample_clock`] has tried.
     fn why_no_clock(&self) -> Option<&str>;
 
-    /// What it says of PTP: `Master`, `Slave`, `Listening` and others; `None` where it says nothing.
-    fn ptp_status(&mut self) -> Result<Option<String>, CameraError> {
-        Ok(None)
-    }
+    /// The PTP status: `Master`, `Slave`, `Listening` and others; `None` where the camera has no such feature.
+    fn ptp_status(&mut self) -> Result<Option<String>, CameraError>;
 
-    /// Has the camera send test packets of `bytes`, or as large as it can, and gives the size that arrives: that, or the
-    /// largest smaller one that does. `None` where the transport or the camera has no such test. No stream may exist.
-    fn test_packet_size(&mut self, _bytes: u32) -> Result<Option<PacketTest>, CameraError> {
-        Ok(None)
-    }
+    /// Makes the camera send test packets of `bytes`, or as large as it can, and gives the largest size that arrives.
+    /// `None` where the transport or the camera has no such test. No stream may exist.
+    fn test_packet_size(&mut self, bytes: u32) -> Result<Option<PacketTest>, CameraError>;
 
-    /// Creates a fresh stream into `blocks`. All streams of a host are created before any acquisition starts:
-    /// a packet socket takes foreign packets for its own until its filter is set.
+    /// Creates a fresh stream into `blocks`. All streams of a host are created before any acquisition starts, because a
+    /// packet socket receives foreign packets until its filter is set.
     fn create_stream(
         &mut self,
         blocks: Vec<Block>,
@@ -301,10 +276,10 @@ pub trait FrameStream: Send {
     /// The next frame, complete or not; `None` after `timeout` without any.
     fn next(&mut self, timeout: Duration) -> Option<Received>;
 
-    /// How much has been heard of the camera on this stream, whatever became of it: packets, or frames where the
-    /// transport has no packets to count. It grows while the camera sends.
-    fn heard(&self) -> u64;
+    /// Number of packets received on this stream, or of frames where the transport has no packets to count. It grows
+    /// while the camera sends.
+    fn activity(&self) -> u64;
 
-    /// Counters by Aravis' names.
+    /// The stream's counters by Aravis' names.
     fn counters(&self) -> Vec<(String, u64)>;
 }

@@ -41,7 +41,7 @@ pub fn quiet_stream(
                 drop(stream.next(SETTLE / 4));
             }
             let last = attempt == ATTEMPTS && options.socket == SocketMode::Standard;
-            let heard = stream.heard();
+            let heard = stream.activity();
             if heard == 0 || last {
                 return Ok((stream, heard == 0));
             }

@@ -1,41 +1,41 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Requested against applied GenICam settings.
+//! Requested and applied GenICam settings.
 
 use super::contract::FrameContract;
 use super::state::State;
 use crate::config::{FeatureSetting, FeatureValue};
 use serde::{Deserialize, Serialize};
 
-/// A feature as configured and as read back.
+/// A feature's requested value and the value that was read back.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct AppliedSetting {
-    /// SFNC name.
+    /// Name of the feature (SFNC).
     pub feature: String,
-    /// As configured.
+    /// The value that the node file or the rig requests.
     pub requested: FeatureValue,
-    /// As read back.
+    /// The value that the camera reported after it was set.
     pub actual: FeatureValue,
 }
 
-/// How a camera is set.
+/// The outcome of a set-up.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SetUp {
-    /// What its frames must be.
+    /// What each frame of the camera must be.
     pub contract: FrameContract,
-    /// What was set, in its order.
+    /// All settings, in the order in which they were made.
     pub settings: Vec<AppliedSetting>,
-    /// What an operator should know: what was found otherwise and mended, what the camera rounded.
-    pub told: Vec<String>,
-    /// What must stay as it is while the session runs.
+    /// What the operator should know: values that were found different and corrected, or that the camera rounded.
+    pub remarks: Vec<String>,
+    /// Features that must stay unchanged while the session runs.
     pub watched: State,
 }
 
-/// Cameras quantize floats (exposure in line times, gain in tenths of a decibel): this share of the
-/// requested value, or this absolute amount where that is more, passes as equal.
+/// Tolerance of floats, as a share of the requested value and at least this amount: cameras quantize exposures to line
+/// times and gains to tenths of a decibel.
 const FLOAT_TOLERANCE: f64 = 2e-3;
 
-/// Whether a camera took a setting.
+/// Whether a camera has a requested value, floats within their tolerance.
 pub fn matches(setting: &FeatureSetting, actual: &FeatureValue) -> bool {
     use FeatureValue::{Flag, Float, Integer, Text};
     let close = |a: f64, b: f64| (a - b).abs() <= FLOAT_TOLERANCE * a.abs().max(1.0);

@@ -39,7 +39,8 @@ impl HsuTiming {
     /// As it goes over the wire; the error says what the unit could not run.
     pub(super) fn to_wire(&self) -> Result<Timing, HsuError> {
         let silence_ns = u64::try_from(self.host_silence.as_nanos()).unwrap_or(u64::MAX);
-        Ok(Timing::new(self.period_ns, self.sync, silence_ns, &self.heads)?)
+        Timing::new(self.period_ns, self.sync, silence_ns, &self.heads)
+            .map_err(|error| HsuError::Unfit(format!("the rig's timing does not suit the HSU: {error}")))
     }
 }
 
@@ -59,7 +60,10 @@ pub struct ArmRequest {
 impl ArmRequest {
     pub(super) fn to_wire(&self, timing_digest: u32) -> Result<Arm, HsuError> {
         if self.nodes.is_empty() || self.nodes.len() > LINKS {
-            return Err(HsuError::Nodes { found: self.nodes.len() });
+            return Err(HsuError::Unfit(format!(
+                "{} nodes are to arm the HSU: expected 1 to {LINKS}, one a link",
+                self.nodes.len()
+            )));
         }
         // Sorted, because the unit compares what the links ask for.
         let mut nodes: Vec<&NodeId> = self.nodes.iter().collect();
@@ -75,9 +79,12 @@ impl ArmRequest {
 
 /// A node's name as it goes over the wire.
 pub(super) fn node_name(node: &NodeId) -> Result<NodeName, HsuError> {
-    NodeName::new(node.as_str())
-        .filter(|name| !name.is_none())
-        .ok_or_else(|| HsuError::Name { name: node.as_str().to_owned() })
+    NodeName::new(node.as_str()).filter(|name| !name.is_none()).ok_or_else(|| {
+        HsuError::Unfit(format!(
+            "node name {:?} does not suit the HSU: expected 1 to 16 bytes",
+            node.as_str()
+        ))
+    })
 }
 
 /// The id under which all nodes arm a session: the first 16 bytes of the SHA-256 of its name.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The unit as this node sees it: typed commands and a stream of events.
 
-use super::conversation::{Conversation, unexpected};
+use super::conversation::Conversation;
 use super::error::HsuError;
 use super::event::{Feed, HsuEvent};
 use super::link::{Answer, Link, Patience};
@@ -14,6 +14,7 @@ use hsu_firmware_proto::{
 };
 use std::io::{Read, Write};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -117,7 +118,7 @@ impl Hsu {
         let for_link = (feed.clone(), wake.clone());
         let broken =
             |cause: std::io::Error| HsuError::Io { device: device.clone(), cause: cause.to_string() };
-        let link = Link::start(reader, writer, move |message| {
+        let link = Link::start(&device, reader, writer, move |message| {
             let (feed, wake) = &for_link;
             if feed.take(message) {
                 // A keeper that is already woken looks at the hole anyway.
@@ -125,7 +126,8 @@ impl Hsu {
             }
         })
         .map_err(broken)?;
-        let conversation = Arc::new(Conversation::new(device.clone(), link, *timeouts, feed));
+        let stop = AtomicBool::new(false);
+        let conversation = Arc::new(Conversation { link, timeouts: *timeouts, feed, stop });
         let welcome = conversation.greet(Hello { min: version::MIN, current: version::CURRENT, role })?;
         let for_keeper = conversation.clone();
         let keeper = std::thread::Builder::new()
@@ -147,41 +149,28 @@ impl Hsu {
 
     /// What the unit reports by itself. The channel holds 8192 events; if it is not read, the oldest give way.
     pub fn events(&self) -> &Receiver<HsuEvent> {
-        self.conversation.feed().events()
+        &self.conversation.feed.receiver
     }
 
     /// Events that gave way because nobody took them.
     pub fn dropped_events(&self) -> u64 {
-        self.conversation.feed().dropped()
+        self.conversation.feed.dropped.load(Ordering::Relaxed)
     }
 
     /// Broken frames and unreadable messages from the unit.
     pub fn bad_frames(&self) -> u32 {
-        self.conversation.link().bad_frames()
+        self.conversation.link.bad_frames()
     }
 
     /// Sets the timing and checks the unit's echo of it. Needed on every node before [`Self::arm`].
     pub fn configure(&self, timing: &HsuTiming) -> Result<(), HsuError> {
         let wire = timing.to_wire()?;
-        match self.conversation.ask("the timing", Request::Configure(Ok(wire)))?.message {
+        match self.conversation.ask("the timing", Request::Configure(Ok(wire)))? {
             UnitToHost::Timing(_, echo) if echo == wire => {
                 *self.timing_digest.lock().unwrap_or_else(PoisonError::into_inner) = wire.digest();
                 Ok(())
             }
-            other => Err(unexpected("the timing", "its echo", &other)),
-        }
-    }
-
-    /// The timing in force.
-    pub fn read_timing(&self) -> Result<HsuTiming, HsuError> {
-        match self.conversation.ask("a question for its timing", Request::ReadTiming)?.message {
-            UnitToHost::Timing(_, timing) => Ok(HsuTiming {
-                period_ns: timing.period_ns,
-                sync: timing.sync,
-                host_silence: Duration::from_nanos(timing.host_silence_ns),
-                heads: timing.heads().to_vec(),
-            }),
-            other => Err(unexpected("a question for its timing", "its timing", &other)),
+            other => Err(HsuError::unexpected("the timing", "its echo", &other)),
         }
     }
 
@@ -189,14 +178,14 @@ impl Hsu {
     pub fn arm(&self, request: &ArmRequest) -> Result<(), HsuError> {
         let digest = *self.timing_digest.lock().unwrap_or_else(PoisonError::into_inner);
         let wire = request.to_wire(digest)?;
-        self.conversation.feed().begin(wire.session, -i64::from(wire.warm_up));
+        self.conversation.feed.begin(wire.session, -i64::from(wire.warm_up));
         self.command("arming", Request::Arm(wire))
     }
 
     /// Takes up the triggers of a session that another connection has armed, from number `next` on: those fired
     /// meanwhile are asked for.
     pub fn resume(&self, session: SessionId, next: i64) {
-        self.conversation.feed().begin(session, next);
+        self.conversation.feed.begin(session, next);
     }
 
     /// Waits until all nodes have armed the session (or it has gone on from there).
@@ -230,10 +219,10 @@ impl Hsu {
 
     /// Edges of the input lines from number `first` on, up to eleven of those that the unit still has (the last 96).
     pub fn input_edges(&self, first: u64) -> Result<InputEdges, HsuError> {
-        const WHAT: &str = "a question for its inputs";
-        match self.conversation.ask(WHAT, Request::QueryEdges { first })?.message {
+        const WHAT: &str = "the request for its inputs";
+        match self.conversation.ask(WHAT, Request::QueryEdges { first })? {
             UnitToHost::Edges { next, levels, edges, .. } => Ok(InputEdges { next, levels, edges }),
-            other => Err(unexpected(WHAT, "edges", &other)),
+            other => Err(HsuError::unexpected(WHAT, "edges", &other)),
         }
     }
 
@@ -244,12 +233,12 @@ impl Hsu {
 
     /// Time codes from number `first` on, up to twelve of those that the unit still has (the last 64).
     pub fn time_codes(&self, first: u64) -> Result<HeardTimeCodes, HsuError> {
-        const WHAT: &str = "a question for time code";
-        match self.conversation.ask(WHAT, Request::QueryTimeCodes { first })?.message {
+        const WHAT: &str = "the request for time code";
+        match self.conversation.ask(WHAT, Request::QueryTimeCodes { first })? {
             UnitToHost::TimeCodes { input, next, refused, first, codes, .. } => {
                 Ok(HeardTimeCodes { input, next, refused, first, codes })
             }
-            other => Err(unexpected(WHAT, "time codes", &other)),
+            other => Err(HsuError::unexpected(WHAT, "time codes", &other)),
         }
     }
 
@@ -266,32 +255,29 @@ impl Hsu {
 
     /// The unit's status.
     pub fn status(&self) -> Result<Status, HsuError> {
-        match self.conversation.ask("a question for its status", Request::ReadStatus)?.message {
+        match self.conversation.ask("the request for its status", Request::ReadStatus)? {
             UnitToHost::Status(_, status) => Ok(status),
-            other => Err(unexpected("a question for its status", "its status", &other)),
+            other => Err(HsuError::unexpected("the request for its status", "its status", &other)),
         }
     }
 
-    /// Reads the unit's clock once. Take many, and trust those with the shortest way there and back.
+    /// Reads the unit's clock once. Callers read it many times, and trust the readings with the shortest round trip.
     pub fn query_clock(&self) -> Result<ClockSample, HsuError> {
-        const WHAT: &str = "a question for its time";
-        let patience = Patience { attempts: 1, ..self.conversation.timeouts().patience };
+        const WHAT: &str = "the request for its time";
+        let Patience { answer, attempts } = self.conversation.timeouts.patience;
+        let once = Patience { answer, attempts: 1 };
         let mut attempt = 1;
         loop {
-            // Each attempt is a new request: an answer to an earlier one would be older than it looks.
+            // Each attempt is a new request: the answer to an earlier one would be older than it looks.
             let token = u64::from(attempt);
-            match self.conversation.ask_with(WHAT, Request::ReadClock { token }, patience) {
+            match self.conversation.link.ask(WHAT, Request::ReadClock { token }, once) {
                 Ok(Answer { message: UnitToHost::Clock { token: back, time_ns, .. }, sent, received })
                     if back == token =>
                 {
                     return Ok(ClockSample { sent, received, time_ns });
                 }
-                Ok(other) => return Err(unexpected(WHAT, "its time", &other.message)),
-                Err(HsuError::NoAnswer { .. })
-                    if attempt < self.conversation.timeouts().patience.attempts =>
-                {
-                    attempt += 1;
-                }
+                Ok(other) => return Err(HsuError::unexpected(WHAT, "its time", &other.message)),
+                Err(HsuError::NoAnswer { .. }) if attempt < attempts => attempt += 1,
                 Err(error) => return Err(error),
             }
         }
@@ -308,25 +294,23 @@ impl Hsu {
     }
 
     fn command(&self, what: &'static str, request: Request) -> Result<(), HsuError> {
-        match self.conversation.ask(what, request)?.message {
+        match self.conversation.ask(what, request)? {
             UnitToHost::Ack(_) => Ok(()),
-            other => Err(unexpected(what, "an acknowledgement", &other)),
+            other => Err(HsuError::unexpected(what, "an acknowledgement", &other)),
         }
     }
 }
 
 impl Drop for Hsu {
     fn drop(&mut self) {
-        self.conversation.stop();
+        self.conversation.stop.store(true, Ordering::Relaxed);
         let _ = self.wake.try_send(());
         if let Some(keeper) = self.keeper.take() {
             // A panic in the keeper has already been printed; a drop must not add another.
             let _ = keeper.join();
         }
-        // Whether it is heard makes no difference to us.
-        let _ = self
-            .conversation
-            .link()
-            .ask(Request::Goodbye, Patience { answer: Duration::from_millis(100), attempts: 1 });
+        // A lost goodbye does no harm: the unit notices the silence.
+        let patience = Patience { answer: Duration::from_millis(100), attempts: 1 };
+        let _ = self.conversation.link.ask("the goodbye", Request::Goodbye, patience);
     }
 }

@@ -33,10 +33,6 @@ impl Sink for Kept {
         Ok(())
     }
 
-    fn tick(&mut self) -> Result<(), RecordError> {
-        Ok(())
-    }
-
     fn finish(self: Box<Self>, _: SessionEnd) -> Result<Verdict, RecordError> {
         Err(RecordError::Stopped { reason: "a stand-in has no verdict".to_owned() })
     }

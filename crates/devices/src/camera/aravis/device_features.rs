@@ -70,24 +70,24 @@ impl AravisCamera {
     fn node(&self, feature: &str) -> Option<aravis::GcFeatureNode> {
         self.device.feature(feature)?.downcast().ok()
     }
+
+    fn kind(&self, feature: &str) -> Result<Kind, Failed> {
+        let node = self.node(feature).ok_or_else(|| Failed::Refused("it has no such feature".to_owned()))?;
+        Ok(kind_of(&node))
+    }
 }
 
 fn kind_of(node: &aravis::GcFeatureNode) -> Kind {
-    if node.is::<aravis::GcEnumeration>() {
-        Kind::Enumeration
-    } else if node.is::<aravis::GcBoolean>() {
-        Kind::Boolean
-    } else if node.is::<aravis::GcCommand>() {
-        Kind::Command
-    } else if node.is::<aravis::GcFloat>() {
-        Kind::Float
-    } else if node.is::<aravis::GcInteger>() {
-        Kind::Integer
-    } else if node.is::<aravis::GcString>() {
-        Kind::Text
-    } else {
-        Kind::Other
-    }
+    // An enumeration and a boolean are integers, too, so the order counts.
+    let kinds = [
+        (node.is::<aravis::GcEnumeration>(), Kind::Enumeration),
+        (node.is::<aravis::GcBoolean>(), Kind::Boolean),
+        (node.is::<aravis::GcCommand>(), Kind::Command),
+        (node.is::<aravis::GcFloat>(), Kind::Float),
+        (node.is::<aravis::GcInteger>(), Kind::Integer),
+        (node.is::<aravis::GcString>(), Kind::Text),
+    ];
+    kinds.into_iter().find(|(is_it, _)| *is_it).map_or(Kind::Other, |(_, kind)| kind)
 }
 
 /// The entries that the camera has at all; which of them it has now is another question.
@@ -155,16 +155,13 @@ impl Features for AravisCamera {
     }
 
     fn read(&self, feature: &str) -> Result<FeatureValue, Failed> {
-        let node = self.node(feature).ok_or_else(|| Failed::Refused("it has no such feature".to_owned()))?;
         let device = &self.device;
-        let value = match kind_of(&node) {
+        let value = match self.kind(feature)? {
             Kind::Boolean => device.boolean_feature_value(feature).map(FeatureValue::Flag),
             Kind::Integer => device.integer_feature_value(feature).map(FeatureValue::Integer),
             Kind::Float => device.float_feature_value(feature).map(FeatureValue::Float),
             Kind::Enumeration => {
-                return self
-                    .entry(feature)
-                    .map(|entry| FeatureValue::Text(entry.unwrap_or_else(|none| none)));
+                return Ok(FeatureValue::Text(self.entry(feature)?.unwrap_or_else(|none| none)));
             }
             Kind::Text => {
                 checked::string(device, feature).map(|text| FeatureValue::Text(text.unwrap_or_default()))
@@ -175,54 +172,44 @@ impl Features for AravisCamera {
     }
 
     fn write(&self, feature: &str, value: &FeatureValue) -> Result<(), Failed> {
-        let node = self.node(feature).ok_or_else(|| Failed::Refused("it has no such feature".to_owned()))?;
-        let (device, kind) = (&self.device, kind_of(&node));
-        let wrong = || Err(Failed::Refused(format!("{value} is no value of its kind")));
-        let set = match (value, kind) {
+        use FeatureValue::{Flag, Float, Integer, Text};
+        let device = &self.device;
+        let set = match (value, self.kind(feature)?) {
             (_, Kind::Command) => device.execute_command(feature),
-            (FeatureValue::Flag(value), Kind::Boolean) => device.set_boolean_feature_value(feature, *value),
-            (FeatureValue::Flag(value), Kind::Integer) => {
-                device.set_integer_feature_value(feature, i64::from(*value))
-            }
-            (FeatureValue::Integer(value), Kind::Float) => {
-                device.set_float_feature_value(feature, *value as f64)
-            }
-            (FeatureValue::Integer(value), Kind::Integer | Kind::Enumeration) => {
+            (Flag(value), Kind::Boolean) => device.set_boolean_feature_value(feature, *value),
+            (Flag(value), Kind::Integer) => device.set_integer_feature_value(feature, i64::from(*value)),
+            (Integer(value), Kind::Float) => device.set_float_feature_value(feature, *value as f64),
+            (Integer(value), Kind::Integer | Kind::Enumeration) => {
                 device.set_integer_feature_value(feature, *value)
             }
-            (FeatureValue::Float(value), Kind::Float) => device.set_float_feature_value(feature, *value),
-            (FeatureValue::Float(value), Kind::Integer) if value.fract() == 0.0 => {
+            (Float(value), Kind::Float) => device.set_float_feature_value(feature, *value),
+            (Float(value), Kind::Integer) if value.fract() == 0.0 => {
                 device.set_integer_feature_value(feature, *value as i64)
             }
-            (FeatureValue::Text(value), Kind::Enumeration | Kind::Text) => {
-                device.set_string_feature_value(feature, value)
-            }
-            _ => return wrong(),
+            (Text(value), Kind::Enumeration | Kind::Text) => device.set_string_feature_value(feature, value),
+            _ => return Err(Failed::Refused(format!("{value} is no value of its kind"))),
         };
         set.map_err(|error| self.not_set(&error))
     }
 
     fn bounds_now(&self, feature: &str) -> Bounds {
-        let Some(node) = self.node(feature) else { return Bounds::default() };
-        match kind_of(&node) {
-            Kind::Float => {
+        match self.kind(feature) {
+            Ok(Kind::Float) => {
                 let limits = checked::float_bounds(&self.device, feature).ok();
                 let finite = |limit: f64| (limit.abs() < UNBOUNDED).then_some(limit);
-                let step = self.device.float_feature_increment(feature).ok().filter(|step| *step > NO_STEP);
                 Bounds {
                     min: limits.and_then(|(min, _)| finite(min)),
                     max: limits.and_then(|(_, max)| finite(max)),
-                    step,
+                    step: self.device.float_feature_increment(feature).ok().filter(|step| *step > NO_STEP),
                 }
             }
-            Kind::Integer => {
+            Ok(Kind::Integer) => {
                 let limits = checked::integer_bounds(&self.device, feature).ok();
                 let stated = |limit: i64| (limit != i64::MIN && limit != i64::MAX).then_some(limit as f64);
-                let step = self.device.integer_feature_increment(feature).ok().map(|step| step as f64);
                 Bounds {
                     min: limits.and_then(|(min, _)| stated(min)),
                     max: limits.and_then(|(_, max)| stated(max)),
-                    step,
+                    step: self.device.integer_feature_increment(feature).ok().map(|step| step as f64),
                 }
             }
             _ => Bounds::default(),
@@ -235,10 +222,6 @@ impl Features for AravisCamera {
 
     fn text(&self, feature: &str) -> Result<String, Failed> {
         self.entry(feature)?.map_err(Failed::Nonsense)
-    }
-
-    fn set_text(&self, feature: &str, value: &str) -> Result<(), Failed> {
-        self.device.set_string_feature_value(feature, value).map_err(|e| self.not_set(&e))
     }
 
     fn execute(&self, feature: &str) -> Result<(), Failed> {
@@ -267,10 +250,10 @@ impl Features for AravisCamera {
     }
 
     fn entries(&self, feature: &str) -> Vec<String> {
-        match self.has(feature) {
-            true => checked::entries_now(&self.device, feature).unwrap_or_default(),
-            false => Vec::new(),
+        if !self.has(feature) {
+            return Vec::new();
         }
+        checked::entries_now(&self.device, feature).unwrap_or_default()
     }
 
     fn has_registers(&self) -> bool {

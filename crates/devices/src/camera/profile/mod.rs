@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a node file says of a camera, in the camera's own features: a pure function of its description.
+//! The node file's keys for a camera, expressed in the camera's own features: a pure function of its description.
 //!
 //! Names follow rules (SFNC 2, SFNC 1, GigE Vision before SFNC), not tables of models: docs/design/camera-profiles.md.
 
@@ -22,24 +22,24 @@ use crate::config::{
 use std::fmt;
 use std::net::Ipv4Addr;
 
-/// What is wanted of a camera.
+/// What a session requires of a camera: the node file, the rig, and the network.
 #[derive(Debug, Clone)]
 pub struct Wishes {
-    /// What the node file says in its own words.
+    /// The node file's keys for this camera.
     pub words: CameraWords,
-    /// Raw settings, after the words.
+    /// Raw settings, which are made after the keys.
     pub raw: Vec<FeatureSetting>,
-    /// The exposure of the rig, for a file that does not say one; microseconds.
+    /// The rig's exposure, microseconds, for a node file without one.
     pub exposure_us: f64,
-    /// Columns and rows that the rig has for it.
+    /// Columns and rows of the image in the rig file.
     pub size: (usize, usize),
-    /// The colour of its head.
+    /// Colour channel of the camera's head.
     pub channel: Channel,
-    /// Its frames are those of the HSU's triggers; a bench may let cameras run by themselves.
+    /// Whether the HSU triggers the frames; on a bench a camera may run free.
     pub triggered: bool,
-    /// They are triggered by action commands instead of a line.
+    /// The keys of action commands, where these trigger the camera instead of a line.
     pub action: Option<ActionConfig>,
-    /// The network between it and this host.
+    /// The network between the camera and this host.
     pub link: Link,
 }
 
@@ -48,18 +48,16 @@ pub struct Wishes {
 pub struct Link {
     /// Cameras of this node that send into the same network, this one included.
     pub cameras: usize,
-    /// Bytes of a packet, with all headers.
+    /// Size of a packet, bytes with all headers.
     pub packet_bytes: u32,
-    /// Between two triggers, ns.
+    /// Time between two triggers, ns.
     pub period_ns: u64,
 }
 
 impl Wishes {
-    /// What a node file says of one of its cameras.
+    /// The requirements for one of a node file's cameras.
     pub fn of(config: &NodeConfig, camera: &CameraConfig) -> Self {
-        let mut known = config.rig.cameras().filter(|(_, known)| known.id == camera.id);
-        let (head, device) =
-            known.next().map_or((None, None), |(head, known)| (Some(head), Some(&known.device)));
+        let (head, known) = config.rig.cameras().find(|(_, known)| known.id == camera.id).unzip();
         let network = |address: &str| {
             let [a, b, c, _] = address.parse::<Ipv4Addr>().ok()?.octets();
             Some([a, b, c])
@@ -70,7 +68,7 @@ impl Wishes {
             words: camera.words.clone(),
             raw: camera.settings.clone(),
             exposure_us: head.map_or(0.0, |head| head.exposure_ns as f64 / 1000.0),
-            size: device.map_or((0, 0), |device| (device.width, device.height)),
+            size: known.map_or((0, 0), |known| (known.device.width, known.device.height)),
             channel: head.map_or(Channel::G, |head| head.channel),
             triggered: config.cameras_are_triggered(),
             action: config.trigger.action(),
@@ -82,45 +80,45 @@ impl Wishes {
         }
     }
 
-    /// Whether a word is left to the raw settings.
+    /// Whether a key is left to the raw settings (`left_to_settings`).
     pub fn left_to_settings(&self, word: &str) -> bool {
         self.words.left_to_settings.iter().any(|left| left == word)
     }
 
-    /// The exposure that is wanted, microseconds.
+    /// The required exposure, microseconds.
     pub fn exposure_us(&self) -> f64 {
         self.words.exposure_us.unwrap_or(self.exposure_us)
     }
 }
 
-/// What a feature is to be set to.
+/// The value that a feature is set to.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Amount {
-    /// This value.
+    /// Exactly this value.
     Value(FeatureValue),
-    /// The value nearest to a number, in the unit of its word.
+    /// The camera's value nearest to a number in the unit of the key.
     Near {
-        /// The number.
+        /// The number that the node file or the rig requires.
         wanted: f64,
-        /// How the feature counts.
+        /// How the feature counts in relation to the key.
         scale: Scale,
-        /// By how much the camera's value may differ.
+        /// Largest difference between the camera's value and the wanted number.
         tolerance: f64,
-        /// Unit of both.
+        /// Unit of number and tolerance, for messages.
         unit: &'static str,
     },
     /// The least value that the camera takes.
     Least,
 }
 
-/// How many of a feature's units are one of the word's.
+/// How many of a feature's units are one of the key's.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Scale {
-    /// So many.
+    /// A constant factor from the key's unit to the feature's.
     Times(f64),
-    /// One for as many microseconds as this feature says.
+    /// The feature counts ticks; the named feature holds the length of a tick in microseconds.
     Ticks(String),
-    /// Ticks of the camera's clock; the word counts microseconds.
+    /// The feature counts ticks of the camera's clock, and the key microseconds.
     Clock,
     /// Decibels where zero is among the values, a factor where the least value is about one.
     Gain,
@@ -129,13 +127,13 @@ pub enum Scale {
 /// One feature to set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Write {
-    /// Its name.
+    /// Name of the feature.
     pub feature: String,
-    /// What to.
+    /// The value that it is set to.
     pub amount: Amount,
-    /// The word of the node file that asks for it; empty: none does.
+    /// The key of the node file behind it; empty where there is none.
     pub word: &'static str,
-    /// It does no harm if the camera refuses it: what matters is asked afterwards.
+    /// A refusal does no harm, because the outcome that matters is checked afterwards.
     pub optional: bool,
 }
 
@@ -156,19 +154,19 @@ impl Write {
 /// Why a camera cannot be used as the node file says.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Trouble {
-    /// The feature that it is about.
+    /// Name of the feature that the message is about.
     pub feature: String,
     /// What was expected, what was found and what to do.
     pub message: String,
 }
 
 impl Trouble {
-    /// A trouble with a feature.
+    /// A message about a feature.
     pub fn new(feature: &str, message: impl Into<String>) -> Self {
         Self { feature: feature.to_owned(), message: message.into() }
     }
 
-    /// A value that an enumeration does not have.
+    /// The message that an enumeration lacks an entry.
     pub fn no_entry(feature: &str, value: &str, has: &Feature, remedy: &str) -> Self {
         Self::new(
             feature,
@@ -183,40 +181,48 @@ impl fmt::Display for Trouble {
     }
 }
 
-/// What is to be done with a camera before a session.
+/// The writes that set a camera up for a session, and what prevents it from being used.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Plan {
-    /// In this order.
+    /// The features to set, in this order.
     pub writes: Vec<Write>,
-    /// Everything that keeps the camera from being used.
+    /// Everything that prevents the camera from being used.
     pub troubles: Vec<Trouble>,
-    /// What an operator should know.
-    pub told: Vec<String>,
-    /// The entry of `PixelFormat` that is wanted, as the camera writes it, and what it is; none where it is left to settings.
+    /// What the operator should know about the camera.
+    pub remarks: Vec<String>,
+    /// The chosen entry of `PixelFormat`, as the camera spells it, and its meaning; none where it is left to settings.
     pub pixel_format: Option<(String, Pixel)>,
 }
 
 impl Plan {
-    /// Bytes of an image, as far as its format is known.
+    /// Adds writes, or the reason why there are none.
+    fn add(&mut self, found: Result<impl IntoIterator<Item = Write>, Trouble>) {
+        match found {
+            Ok(writes) => self.writes.extend(writes),
+            Err(trouble) => self.troubles.push(trouble),
+        }
+    }
+
+    /// Bytes of an image, 8-bit grey where its format is not known.
     fn image_bytes(&self, wishes: &Wishes) -> usize {
         let pixel = self.pixel_format.as_ref().map_or(Pixel::Mono8, |(_, pixel)| *pixel);
         pixel.sent_bytes(wishes.size)
     }
 }
 
-/// How the words are said with a camera's features.
+/// Translates the node file's keys into writes to a camera's features.
 pub fn resolve(camera: &dyn Description, wishes: &Wishes) -> Plan {
     let mut plan = Plan::default();
     image::resolve(camera, wishes, &mut plan);
     time::exposure(camera, wishes, &mut plan);
     gain::resolve(camera, wishes, &mut plan);
     time::packet_delay(camera, wishes, &mut plan);
-    // Last, because a trigger that is on locks what is set before.
+    // Last, because a trigger that is on may lock the features that are set before.
     trigger::resolve(camera, wishes, &mut plan);
     plan
 }
 
-/// How a camera is brought into a known state, where it can be: its settings of delivery.
+/// The selection and the command that load a camera's factory settings, where it has them.
 pub fn known_state(camera: &dyn Description) -> Option<(Write, &'static str)> {
     const LOAD: &str = "UserSetLoad";
     let selector = camera.feature("UserSetSelector")?;
@@ -231,41 +237,36 @@ fn first_writable<'a>(camera: &dyn Description, names: &[&'a str]) -> Option<(&'
     names.iter().find_map(find)
 }
 
-/// What to say of features none of which is there.
+/// A number that can be written.
+fn writable_number(camera: &dyn Description, name: &str) -> Option<Feature> {
+    camera.feature(name).filter(|feature| feature.is_writable() && feature.is_number())
+}
+
+/// The message that the camera has none of these features.
 fn none_of(camera: &dyn Description, names: &[&str], what: &str, word: &str) -> Trouble {
     let wanted = names.first().copied().unwrap_or_default();
     let near = nearest(wanted, &camera.names());
-    let near = match near.is_empty() {
-        true => String::new(),
-        false => format!("; nearest names: {}", list(&near)),
-    };
+    let near = if near.is_empty() { String::new() } else { format!("; nearest names: {}", list(&near)) };
     Trouble::new(
         wanted,
         format!(
-            "no feature of this camera {what} (looked for {}){near}; set it by its own feature in `settings`, and say \
+            "no feature of this camera {what} (looked for {}){near}; set it by its own feature in `settings`, and set \
              left_to_settings = [\"{word}\"]",
             names.join(", ")
         ),
     )
 }
 
-/// A number that lies outside constant bounds.
-fn check_bounds(name: &str, feature: &Feature, number: f64, word: &str) -> Result<(), Trouble> {
-    let below = feature.bounds.min.is_some_and(|min| number < min);
-    let above = feature.bounds.max.is_some_and(|max| number > max);
-    if !below && !above {
-        return Ok(());
+/// Refuses a number outside the bounds of the description. `remedy` ends the message.
+fn check_bounds(name: &str, feature: &Feature, number: f64, remedy: &str) -> Result<(), Trouble> {
+    let bounds = feature.bounds;
+    match bounds.exclude(number) {
+        false => Ok(()),
+        true => Err(Trouble::new(name, format!("{name} takes {bounds}, requested {number}{remedy}"))),
     }
-    let edge = |bound: Option<f64>| bound.map_or_else(|| "?".to_owned(), |bound| bound.to_string());
-    let (min, max) = (edge(feature.bounds.min), edge(feature.bounds.max));
-    let remedy = match word.is_empty() {
-        true => String::new(),
-        false => format!("; change {word}"),
-    };
-    Err(Trouble::new(name, format!("{name} takes {min} to {max}, asked for {number}{remedy}")))
 }
 
-/// Whether it can only be read.
+/// Whether a feature can only be read.
 fn is_fixed(feature: &Feature) -> bool {
     feature.access == Access::Read
 }

@@ -266,7 +266,7 @@ fn the_trigger_that_starts_a_frame_is_found_and_the_others_are_off() {
     // Before there was a trigger of frames, that of the acquisition took each; among others it does not.
     let plan = resolve(&usual(&[("TriggerSelector", "TriggerSelector=AcquisitionStart")]), &wishes());
     assert!(short(&plan).contains("TriggerSelector=AcquisitionStart TriggerMode=Off TriggerSource=Line0"));
-    assert!(plan.told[0].contains("AcquisitionStart alone"), "{:?}", plan.told);
+    assert!(plan.remarks[0].contains("AcquisitionStart alone"), "{:?}", plan.remarks);
     let among = usual(&[("TriggerSelector", "TriggerSelector=AcquisitionStart,AcquisitionEnd")]);
     assert!(trouble(&among, &wishes()).contains("FrameStart"));
     let alone = short(&resolve(&usual(&[("TriggerSelector", "TriggerSelector=All")]), &wishes()));
@@ -313,7 +313,7 @@ fn edges_and_overlap_are_said_in_the_cameras_words() {
     assert!(short(&resolve(&usual(&[]), &falling)).contains("TriggerActivation=FallingEdge"));
     let none = usual(&[("TriggerActivation", "TriggerActivation=None")]);
     let plan = resolve(&none, &wishes());
-    assert!(plan.troubles.is_empty() && plan.told.join("; ").contains("TriggerActivation has None alone"));
+    assert!(plan.troubles.is_empty() && plan.remarks.join("; ").contains("TriggerActivation has None alone"));
     assert!(trouble(&none, &falling).contains("[\"TriggerActivation\", \"None\"]"));
     let mut left = wishes();
     left.words.left_to_settings = vec!["trigger_edge".to_owned()];

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Exposure, and the time between two packets.
 
-use super::{Amount, Plan, Scale, Trouble, Wishes, Write, check_bounds, first_writable, none_of};
+use super::{
+    Amount, Plan, Scale, Trouble, Wishes, Write, check_bounds, first_writable, none_of, writable_number,
+};
 use crate::camera::description::{Description, plain};
 use crate::config::PacketDelay;
 use crate::network::wire;
@@ -51,10 +53,7 @@ pub fn exposure(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
             plan.writes.push(Write::entry(name, entry, "exposure_us").optional());
         }
     }
-    match exposure_write(camera, wishes) {
-        Ok(write) => plan.writes.push(write),
-        Err(trouble) => plan.troubles.push(trouble),
-    }
+    plan.add(exposure_write(camera, wishes).map(Some));
 }
 
 fn exposure_write(camera: &dyn Description, wishes: &Wishes) -> Result<Write, Trouble> {
@@ -65,23 +64,18 @@ fn exposure_write(camera: &dyn Description, wishes: &Wishes) -> Result<Write, Tr
         Write::new(name, Amount::Near { wanted, scale, tolerance, unit: "us" }, WORD)
     };
     let time = |name: &&'static str| {
-        let feature = camera.feature(name).filter(|f| f.is_writable() && f.is_number())?;
+        let feature = writable_number(camera, name)?;
         Some((*name, per_microsecond(feature.unit.as_deref())?, feature))
     };
-    if let Some((name, scale, feature)) = EXPOSURES.iter().find_map(time) {
-        check_bounds(name, &feature, wanted * scale, WORD)?;
-        return Ok(near(name, Scale::Times(scale)));
-    }
     let in_a_unit = |name: &&'static str| time(name).filter(|(_, _, feature)| feature.unit.is_some());
-    if let Some((name, scale, feature)) = IN_A_UNIT.iter().find_map(in_a_unit) {
-        check_bounds(name, &feature, wanted * scale, WORD)?;
+    let found =
+        EXPOSURES.iter().find_map(time).or_else(|| IN_A_UNIT.iter().chain([&RAW]).find_map(in_a_unit));
+    if let Some((name, scale, feature)) = found {
+        check_bounds(name, &feature, wanted * scale, &format!("; change {WORD}"))?;
         return Ok(near(name, Scale::Times(scale)));
     }
-    let raw = camera.feature(RAW).filter(|feature| feature.is_writable() && feature.is_number());
-    let Some(raw) = raw else { return Err(none_of(camera, &EXPOSURES, "is its exposure", WORD)) };
-    if let Some(scale) = raw.unit.as_deref().and_then(|unit| per_microsecond(Some(unit))) {
-        check_bounds(RAW, &raw, wanted * scale, WORD)?;
-        return Ok(near(RAW, Scale::Times(scale)));
+    if writable_number(camera, RAW).is_none() {
+        return Err(none_of(camera, &EXPOSURES, "is its exposure", WORD));
     }
     let tick = TICKS.iter().find(|name| camera.feature(name).is_some_and(|f| f.is_number()));
     match tick {
@@ -89,8 +83,8 @@ fn exposure_write(camera: &dyn Description, wishes: &Wishes) -> Result<Write, Tr
         None => Err(Trouble::new(
             RAW,
             format!(
-                "the camera counts its exposure in ticks ({RAW}), expected a feature that says how long one is (looked \
-                 for {}): set [\"{RAW}\", TICKS] in `settings`, and say left_to_settings = [\"{WORD}\"]",
+                "the camera counts its exposure in ticks ({RAW}), expected a feature with the length of one (looked \
+                 for {}): set [\"{RAW}\", TICKS] in `settings`, and set left_to_settings = [\"{WORD}\"]",
                 TICKS.join(", ")
             ),
         )),
@@ -119,12 +113,10 @@ pub fn packet_delay(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) 
         }
         return;
     };
-    let scale = match feature.unit.as_deref() {
-        Some(unit) if per_microsecond(Some(unit)).is_some() => {
-            Scale::Times(per_microsecond(Some(unit)).unwrap_or(1.0))
-        }
-        _ if delay_us == 0.0 => Scale::Times(1.0),
-        _ => Scale::Clock,
+    let scale = match feature.unit.as_deref().and_then(|unit| per_microsecond(Some(unit))) {
+        Some(times) => Scale::Times(times),
+        None if delay_us == 0.0 => Scale::Times(1.0),
+        None => Scale::Clock,
     };
     let amount = Amount::Near { wanted: delay_us, scale, tolerance: 1.0 + delay_us * 0.1, unit: "us" };
     plan.writes.push(Write::new(name, amount, WORD));
@@ -136,7 +128,7 @@ fn limit_rate(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) -> boo
         return false;
     }
     let bytes_per_s = |name: &&'static str| {
-        let feature = camera.feature(name).filter(|f| f.is_writable() && f.is_number())?;
+        let feature = writable_number(camera, name)?;
         let unit = plain(feature.unit.as_deref().unwrap_or_default());
         ["", "bps", "bytess", "bytespersecond"].contains(&unit.as_str()).then_some(*name)
     };

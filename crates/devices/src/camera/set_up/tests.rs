@@ -269,7 +269,7 @@ fn what_the_last_user_left_is_mended_and_told() {
     }
     fake.set_text("TriggerSelector", "AcquisitionStart").expect("settable");
     assert_eq!(fake.has_now("TriggerMode"), text("Off"), "one trigger alone is on");
-    let told = done.told.join("; ");
+    let told = done.remarks.join("; ");
     for words in
         ["ExposureAuto was Continuous and is set to Off", "GammaEnable was true", "ReverseX was true"]
     {
@@ -277,7 +277,7 @@ fn what_the_last_user_left_is_mended_and_told() {
     }
     assert_eq!((done.contract.size, done.contract.offset), ((1920, 1200), (0, 0)));
     // A settled camera has nothing to tell.
-    assert_eq!(set_up(&fake, &wanted()).expect("again").told, [""; 0]);
+    assert_eq!(set_up(&fake, &wanted()).expect("again").remarks, [""; 0]);
 }
 
 #[test]
@@ -299,7 +299,11 @@ fn settings_of_delivery_are_loaded_first() {
         .into();
     let done = set_up(&fake, &wanted()).expect("set up");
     assert_eq!(fake.has_now("UserSetSelector"), text("Default"));
-    assert!(!done.told.iter().any(|told| told.contains("Auto") || told.contains("Gamma")), "{:?}", done.told);
+    assert!(
+        !done.remarks.iter().any(|told| told.contains("Auto") || told.contains("Gamma")),
+        "{:?}",
+        done.remarks
+    );
 }
 
 /// A camera of which something stands at a value that it only lets read.
@@ -316,7 +320,7 @@ fn deeper_grey_is_told_and_its_lower_byte_must_come_first() {
     twelve.words.pixel = Some(Pixel::Mono12);
     let done = set_up(&Fake::new(), &twelve).expect("set up");
     assert_eq!((done.contract.pixel, done.contract.received_bytes()), (Pixel::Mono12, 2 * 1920 * 1200));
-    assert!(done.told.iter().any(|told| told.contains("the lower 4 are lost")), "{:?}", done.told);
+    assert!(done.remarks.iter().any(|told| told.contains("the lower 4 are lost")), "{:?}", done.remarks);
     // Named by settings, it is what they say.
     let mut left = wanted();
     left.words.left_to_settings = vec!["pixel".to_owned()];
@@ -343,7 +347,7 @@ fn a_plane_of_colour_is_half_as_large_and_the_calibrations_pixels_are_named() {
         let done = set_up(&mosaic(format), &plane).expect("set up");
         assert_eq!((done.contract.size, done.contract.sent_size()), ((960, 600), (1920, 1200)));
         assert_eq!((done.contract.pixel.name(), done.contract.place), (format, place));
-        let told = done.told.join("; ");
+        let told = done.remarks.join("; ");
         let (u, v) = place;
         let pixels = format!("is pixel (2u + {u}, 2v + {v}) of the camera");
         assert!(told.contains("recorded, 960 x 600") && told.contains(&pixels), "{told}");
@@ -362,7 +366,7 @@ fn chunks_that_stay_on_get_room_and_other_bytes_do_not() {
     fake.values.borrow_mut().insert("Appended".to_owned(), FeatureValue::Integer(24));
     let done = set_up(&fake, &wanted()).expect("set up");
     assert_eq!((done.contract.chunk_room, done.contract.received_bytes()), (24, 1920 * 1200 + 24));
-    let told = done.told.join("; ");
+    let told = done.remarks.join("; ");
     for words in ["ChunkModeActive is true, expected false, and cannot be set", "up to 24 bytes of chunks"] {
         assert!(told.contains(words), "{told}");
     }
@@ -376,7 +380,7 @@ fn an_exposure_is_rounded_within_its_tolerance_and_refused_beyond() {
     let mut fake = Fake::new();
     fake.line_us = 35.0;
     let done = set_up(&fake, &wanted()).expect("1015 is near enough");
-    assert!(done.told.iter().any(|told| told.contains("exposure_us = 1000: the camera takes 1015 us")));
+    assert!(done.remarks.iter().any(|told| told.contains("exposure_us = 1000: the camera takes 1015 us")));
     let exposure = done.settings.iter().find(|setting| setting.feature == "ExposureTime").expect("set");
     assert_eq!(exposure.actual, FeatureValue::Float(1015.0));
     let mut strict = wanted();
@@ -445,7 +449,7 @@ fn a_load_that_never_says_done_is_settled_read_back_and_told() {
         fake.habits.done = Some(done);
         fake.delivery = [("ExposureAuto".to_owned(), text("Off"))].into();
         let set = set_up(&fake, &wanted()).expect("set up");
-        let told = set.told.join("; ");
+        let told = set.remarks.join("; ");
         assert!(
             told.contains("UserSetLoad of Default never says that it is done; it changed ExposureAuto, and"),
             "{told}"
@@ -456,7 +460,7 @@ fn a_load_that_never_says_done_is_settled_read_back_and_told() {
     let mut fake = Fake::new();
     fake.habits.done = Some((Some(true), Some(true)));
     let set = set_up(&fake, &wanted()).expect("set up");
-    assert!(!set.told.join("; ").contains("UserSetLoad"), "{:?}", set.told);
+    assert!(!set.remarks.join("; ").contains("UserSetLoad"), "{:?}", set.remarks);
 }
 
 #[test]
@@ -529,7 +533,7 @@ fn packet_sizes_are_the_cameras_or_refused_by_name() {
     let size = [("GevSCPSPacketSize", FeatureValue::Integer(1500))];
     let mut fake = with("GevSCPSPacketSize:int", &size);
     fake.habits.packets = Some(8164);
-    let told = set_up(&fake, &wanted()).expect("set up").told.join("; ");
+    let told = set_up(&fake, &wanted()).expect("set up").remarks.join("; ");
     assert!(told.contains("packet_bytes = 9000: the camera takes 8164 bytes"), "{told}");
     fake.habits.packets = Some(0);
     let all = problems(set_up(&fake, &wanted())).join("\n");
@@ -560,7 +564,7 @@ fn triggers_that_come_with_another_model_of_triggers_are_there_once_it_is_chosen
 #[test]
 fn a_colour_sensor_that_sends_grey_is_told() {
     let filter = |value: &str| with("PixelColorFilter=None,BayerRG!ro", &[("PixelColorFilter", text(value))]);
-    let told = |fake: &Fake| set_up(fake, &wanted()).expect("set up").told.join("; ");
+    let told = |fake: &Fake| set_up(fake, &wanted()).expect("set up").remarks.join("; ");
     assert!(told(&filter("BayerRG")).contains("the sensor sees colours (PixelColorFilter is BayerRG)"));
     assert!(!told(&filter("None")).contains("colours"));
     assert!(told(&with("PixelFormat=Mono8,BayerRG8", &[])).contains("PixelFormat also has BayerRG8"));
