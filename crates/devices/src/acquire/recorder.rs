@@ -90,7 +90,7 @@ pub struct Progress {
     /// Room for held frames, of all cameras together.
     pub held_room: AtomicU64,
     /// Packets received from each camera, or frames where the transport has no packets.
-    pub heard: Vec<AtomicU64>,
+    pub activity: Vec<AtomicU64>,
     /// Frames taken from each camera's stream, complete or not.
     pub received: Vec<AtomicU64>,
     /// Frames written, per camera.
@@ -133,7 +133,7 @@ impl Progress {
     pub fn new(cameras: usize) -> Self {
         let zeros = || (0..cameras).map(|_| AtomicU64::new(0)).collect();
         Self {
-            heard: zeros(),
+            activity: zeros(),
             received: zeros(),
             frames: zeros(),
             gaps: zeros(),
@@ -143,16 +143,16 @@ impl Progress {
     }
 }
 
-/// Bounds and times of a recorder.
+/// Bounds and times of a recorder; the bounds follow from the number of blocks.
 #[derive(Debug, Clone, Copy)]
 pub struct RecorderOptions {
-    /// Trigger period, ns.
+    /// Time between two triggers, ns.
     pub period_ns: u64,
-    /// Blocks of each camera: what all bounds derive from.
+    /// Memory blocks of each camera, which limit all frames under way.
     pub buffers_per_camera: usize,
     /// Triggers before Record whose frame sets are held at most; 0: nothing is held, the recording begins with the train.
     pub held_sets: usize,
-    /// What happens when the ring is full.
+    /// Whether a full ring drops frame sets or stops the session.
     pub when_full: WhenFull,
     /// How long a frame waits for the report of its trigger. Time in which the process stood still does not count.
     pub report_patience: Duration,
@@ -162,15 +162,15 @@ pub struct RecorderOptions {
     pub drain_patience: Duration,
 }
 
-/// Periods of [`RecorderOptions::report_patience`], and its floor.
+/// [`RecorderOptions::report_patience`] in trigger periods, and its least value: enough for a report over a busy link.
 const REPORT_PERIODS: (u32, Duration) = (48, Duration::from_millis(400));
-/// Periods of [`RecorderOptions::set_patience`], and its floor.
+/// [`RecorderOptions::set_patience`] in trigger periods, and its least value: the cameras of a trigger finish close together.
 const SET_PERIODS: (u32, Duration) = (6, Duration::from_millis(50));
-/// Periods of [`RecorderOptions::drain_patience`], and its floor.
+/// [`RecorderOptions::drain_patience`] in trigger periods, and its least value: frames and reports behind a pause still arrive.
 const DRAIN_PERIODS: (u32, Duration) = (180, Duration::from_millis(1500));
 
 impl RecorderOptions {
-    /// The usual patience for a trigger period.
+    /// The patience for a trigger period, as sessions use it.
     pub fn new(period_ns: u64, buffers_per_camera: usize, when_full: WhenFull) -> Self {
         let patience = |(periods, floor): (u32, Duration)| {
             Duration::from_nanos(period_ns.saturating_mul(periods.into())).max(floor)
@@ -192,12 +192,12 @@ impl RecorderOptions {
         (self.buffers_per_camera * 3 / 8).max(1)
     }
 
-    /// Frames of one camera that wait for reports: a quarter of the blocks.
+    /// Most frames of one camera that wait for reports: a quarter of the blocks.
     pub fn waiting_frames(&self) -> usize {
         (self.buffers_per_camera / 4).max(1)
     }
 
-    /// Frame sets that are being assembled: a sixteenth of the blocks.
+    /// Most frame sets that are assembled at a time: a sixteenth of the blocks.
     pub fn open_sets(&self) -> usize {
         (self.buffers_per_camera / 16).max(2)
     }

@@ -21,9 +21,9 @@ use std::time::{Duration, Instant};
 
 use super::recorder::RecorderEvent;
 
-/// Room for small records beside the frames: minutes of them.
+/// Room for small records beside the frames: several minutes of them at 120 Hz.
 const SMALL_RECORDS: usize = 65_536;
-/// Without anything to write the recording's durability is looked after this often.
+/// Longest sleep of the writer's thread: then it keeps the recording's durability bound.
 const TICK: Duration = Duration::from_millis(20);
 
 /// A frame whose trigger is known.
@@ -33,7 +33,7 @@ pub struct ReadyFrame {
     pub(super) meta: FrameMeta,
     pub(super) block: Block,
     pub(super) taken: Instant,
-    /// When it was matched, then when it entered the ring.
+    /// When its trigger was found, later when it entered the ring.
     pub(super) since: Instant,
 }
 
@@ -81,19 +81,20 @@ impl Sink for Recording {
     }
 }
 
-/// The matching thread's end.
+/// The bounded queue to the writer's thread, as the matching thread owns it. It promises that frame sets enter whole or not
+/// at all. It ends with [`Ring::close`], which waits for the writer's thread.
 pub(super) struct Ring {
     items: Option<Sender<ToWriter>>,
-    /// Where frames wait for Record.
+    /// The frames that wait for Record; `None` where the recording begins with the train.
     hold: Option<Hold>,
-    /// Previews and the live body look at the frames that come in.
+    /// Samples of the frames, for previews and the live body.
     taps: [Arc<Taps>; 2],
-    /// Whose `ring` counts the frames in it, held ones too.
+    /// Counters, of which `ring` includes held frames.
     progress: Arc<Progress>,
     capacity: usize,
-    /// As many may be with the writer's thread.
+    /// Most items in the channel to the writer's thread while held ones follow.
     passed_on: usize,
-    /// Small records that found no room: their gaps are accounted for at the end.
+    /// Small records that found no room; missing gaps are accounted for at the end.
     pub(super) refused: u64,
     writer: Option<JoinHandle<()>>,
 }
@@ -128,17 +129,17 @@ impl Ring {
         })
     }
 
-    /// Frames in the ring.
+    /// Number of frames in the ring.
     pub(super) fn len(&self) -> usize {
         usize::try_from(self.progress.ring.load(Ordering::Relaxed)).unwrap_or(usize::MAX)
     }
 
-    /// Whether so many frames fit now. Only this end adds, so that what fits now fits.
+    /// Whether this number of frames fits now. Only the matching thread adds frames, so the answer stays true.
     pub(super) fn has_room_for(&self, frames: usize) -> bool {
         self.len() + frames <= self.capacity
     }
 
-    /// Passes an admitted frame on.
+    /// Adds a frame whose set was admitted.
     pub(super) fn frame(&mut self, frame: ReadyFrame) {
         self.progress.ring.fetch_add(1, Ordering::Relaxed);
         let pixels = frame.block.pixels();
@@ -146,7 +147,7 @@ impl Ring {
         self.small(ToWriter::Frame(frame));
     }
 
-    /// Passes a small record on.
+    /// Adds a small record: anything but a frame.
     pub(super) fn small(&mut self, item: ToWriter) {
         let Some(hold) = &mut self.hold else { return self.send(item) };
         match hold.take(item) {
@@ -155,11 +156,12 @@ impl Ring {
                 self.progress.ring.fetch_sub(gone as u64, Ordering::Relaxed);
             }
         }
-        self.tell_held();
+        self.publish_held();
         self.go_on();
     }
 
-    /// Record was pressed: the recording begins with trigger `first` of the train. What of it is not held any more is lost.
+    /// Record was pressed: the recording begins with trigger `first` of the train. Triggers of it that are not held any more
+    /// become gap records.
     pub(super) fn keep(&mut self, first: u64, cameras: usize) {
         let Some(hold) = &mut self.hold else { return };
         let (older, lost) = hold.keep(first);
@@ -169,7 +171,7 @@ impl Ring {
                 self.small(ToWriter::Gap(camera, TriggerIndex(trigger), GapCause::DroppedRingFull));
             }
         }
-        self.tell_held();
+        self.publish_held();
         self.go_on();
     }
 
@@ -178,7 +180,7 @@ impl Ring {
         self.hold.as_ref().map_or(Some(0), Hold::first)
     }
 
-    fn tell_held(&self) {
+    fn publish_held(&self) {
         if let Some(hold) = &self.hold {
             let (oldest, end) = hold.held();
             self.progress.held_from.store(oldest, Ordering::Relaxed);
@@ -186,7 +188,7 @@ impl Ring {
         }
     }
 
-    /// Passes on what was held, as far as the writer follows.
+    /// Passes held items on while the writer keeps up.
     pub(super) fn go_on(&mut self) {
         while self.items.as_ref().is_some_and(|items| items.len() < self.passed_on)
             && let Some(item) = self.hold.as_mut().and_then(Hold::next)
@@ -195,7 +197,7 @@ impl Ring {
         }
     }
 
-    /// Gaps count where they are the recording's.
+    /// Counts a gap record that goes to the recording.
     fn count(&self, item: &ToWriter) {
         if let ToWriter::Gap(camera, _, cause) = item {
             self.progress.gap(*camera, *cause);
@@ -214,15 +216,15 @@ impl Ring {
         }
     }
 
-    /// Lets everything be written, then closes the recording; or, without an end, leaves it.
+    /// Writes everything and closes the recording; without `end`, closes it without a verdict.
     pub(super) fn close(mut self, end: Option<SessionEnd>) {
         if let Some((items, mut end)) = self.items.take().zip(end) {
             while let Some(item) = self.hold.as_mut().and_then(Hold::next) {
                 self.count(&item);
-                // A writer that is gone has said so.
+                // A writer that has ended has reported why.
                 drop(items.send(item));
             }
-            // Nothing is of a recording whose beginning nobody named.
+            // Before Record, no trigger belongs to the recording.
             end.triggers_emitted = match self.first() {
                 Some(first) => end.triggers_emitted.map(|emitted| emitted.saturating_sub(first)),
                 None => Some(0),
@@ -275,7 +277,7 @@ impl Writer {
             Some(frames) => {
                 frames.fetch_add(1, Ordering::Relaxed);
             }
-            // The recording has accounted for a frame that it could not write.
+            // The recording itself has written the gap record for a frame that it could not write.
             None => self.progress.gap(camera, GapCause::DroppedDisk),
         }
         self.progress.ring.fetch_sub(1, Ordering::Relaxed);
@@ -284,7 +286,7 @@ impl Writer {
         self.judge(written);
     }
 
-    /// The first failure is reported.
+    /// Reports the first failure.
     fn judge(&mut self, written: Result<(), RecordError>) {
         let Err(error) = written else { return };
         if !std::mem::replace(&mut self.failed, true) {

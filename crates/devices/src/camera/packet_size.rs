@@ -24,13 +24,13 @@ pub fn fitting(requested: u32, bounds: Bounds) -> u32 {
 /// The message for a size that the camera refuses, with the sizes that it takes.
 pub fn refusal(requested: u32, why: &str, bounds: Bounds, now: Option<i64>) -> String {
     let has = now.map_or_else(String::new, |now| format!(", it has {now}"));
-    let say = match (now, bounds.min) {
+    let remedy = match (now, bounds.min) {
         (_, Some(min)) if min > f64::from(requested) => format!("{min}"),
         (Some(now), _) => format!("{now}"),
         (None, _) => "one that it takes".to_owned(),
     };
     format!(
-        "{FEATURE} cannot be set to {requested}: the camera refuses it ({why}); it takes {bounds}{has}: set packet_bytes = {say}"
+        "{FEATURE} cannot be set to {requested}: the camera refuses it ({why}); it takes {bounds}{has}: set packet_bytes = {remedy}"
     )
 }
 
@@ -86,7 +86,7 @@ mod tests {
             text.contains("cannot be set to 576") && text.contains("it takes 1400 to 1500, it has 1500"),
             "{text}"
         );
-        assert!(text.ends_with("say packet_bytes = 1400"), "{text}");
+        assert!(text.ends_with("set packet_bytes = 1400"), "{text}");
         assert!(!text.contains("power"), "{text}");
     }
 }

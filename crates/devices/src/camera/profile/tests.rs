@@ -161,7 +161,7 @@ fn a_camera_without_actions_keys_or_ptp_is_refused_by_name() {
     let told = troubles(&[source], false);
     assert!(told.len() == 3 && told[0].starts_with("the camera has no ActionDeviceKey"), "{told:?}");
     let told = troubles(&[source, ("", keys)], true);
-    assert!(told.len() == 1 && told[0].contains("say trigger.ptp = false"), "{told:?}");
+    assert!(told.len() == 1 && told[0].contains("set trigger.ptp = false"), "{told:?}");
 }
 
 #[test]
@@ -291,7 +291,7 @@ fn a_line_is_named_or_found_where_there_is_one_alone() {
     assert!(short(&resolve(&sources("ExtTrig,SoftTrigger"), &wishes())).contains("TriggerSource=ExtTrig"));
     assert_eq!(
         trouble(&sources("Line1,Line2,Line3,Software"), &line("Line0")),
-        "`Line0` is not an entry of TriggerSource: Line1, Line2, Line3, Software; say trigger_line = \"Line1\" or another \
+        "`Line0` is not an entry of TriggerSource: Line1, Line2, Line3, Software; set trigger_line = \"Line1\" or another \
          of them, as the HSU is wired"
     );
     let text = trouble(&sources("Software,Line0,Line1"), &wishes());
@@ -346,7 +346,7 @@ fn images_that_are_not_grey_or_do_not_fit_are_refused_by_name() {
     }
     let text = trouble(&usual(&[("PixelFormat", "PixelFormat=BayerRG8,RGB8")]), &wishes());
     assert!(text.starts_with("`Mono8` is not an entry of PixelFormat: BayerRG8, RGB8"), "{text}");
-    assert!(text.contains("say pixel = \"bayer8\""), "{text}");
+    assert!(text.contains("set pixel = \"bayer8\""), "{text}");
     let text = trouble(&usual(&[("PixelFormat", "PixelFormat=YUV422,RGB8")]), &wishes());
     assert!(text.contains("use a camera that sends it"), "{text}");
     let old =
@@ -359,11 +359,11 @@ fn images_that_are_not_grey_or_do_not_fit_are_refused_by_name() {
     let mut narrow = usual(&[]);
     let width = narrow.0.get_mut("Width").expect("there");
     width.bounds = Bounds { min: Some(16.0), max: Some(1280.0), step: Some(16.0) };
-    assert!(trouble(&narrow, &wishes()).contains("Width takes 16 to 1280, asked for 1920"));
+    assert!(trouble(&narrow, &wishes()).contains("Width takes 16 to 1280, requested 1920"));
     narrow.0.get_mut("Width").expect("there").bounds.max = Some(4096.0);
     let mut wishes = wishes();
     wishes.size.0 = 1928;
-    assert!(trouble(&narrow, &wishes).contains("say 1920 or 1936"));
+    assert!(trouble(&narrow, &wishes).contains("set 1920 or 1936"));
 }
 
 /// 8 bits where the camera has them, whatever else it has; else the fewest bytes whose rows end with one.

@@ -387,7 +387,7 @@ fn an_exposure_is_rounded_within_its_tolerance_and_refused_beyond() {
     strict.words.exposure_tolerance_us = Some(10.0);
     let problems = problems(set_up(&fake, &strict));
     assert_eq!(problems.len(), 1, "{problems:?}");
-    assert!(problems[0].contains("say exposure_us = 1015, or exposure_tolerance_us = 15"), "{problems:?}");
+    assert!(problems[0].contains("set exposure_us = 1015, or exposure_tolerance_us = 15"), "{problems:?}");
 }
 
 #[test]
@@ -406,18 +406,18 @@ fn every_problem_is_named_at_once_with_its_remedy() {
     let all = problems.join("\n");
     println!("{all}");
     for words in [
-        "`Line0` is not an entry of TriggerSource: Line1, Line2, Software; say trigger_line = \"Line1\"",
-        "ExposureTime takes 10 to 1000000 us now, asked for exposure_us = 2000000",
+        "`Line0` is not an entry of TriggerSource: Line1, Line2, Software; set trigger_line = \"Line1\"",
+        "ExposureTime takes 10 to 1000000 us now, requested exposure_us = 2000000",
         "PixelFormat cannot be set to Mono8: the camera refuses it (access denied)",
         "GammaEnable is true, expected false, and cannot be set (the camera refuses it: access denied)",
         "ReverseX is true, expected false, and cannot be set (it can only be read)",
-        "feature BlackLevl: asked for 1, the camera has no such feature; nearest names",
+        "feature BlackLevl: requested 1, the camera has no such feature; nearest names",
         "`UserSet7` is not an entry of UserSetSelector: Default, UserSet1",
         "PayloadSize is 4608000, expected 2304000",
     ] {
         assert!(all.contains(words), "{words:?} missing in\n{all}");
     }
-    assert_eq!(problems.len(), 8, "each is told once: {all}");
+    assert_eq!(problems.len(), 8, "each is reported once: {all}");
 }
 
 #[test]
@@ -451,7 +451,9 @@ fn a_load_that_never_says_done_is_settled_read_back_and_told() {
         let set = set_up(&fake, &wanted()).expect("set up");
         let told = set.remarks.join("; ");
         assert!(
-            told.contains("UserSetLoad of Default never says that it is done; it changed ExposureAuto, and"),
+            told.contains(
+                "UserSetLoad of Default never reports that it is done; it changed ExposureAuto, and"
+            ),
             "{told}"
         );
         assert_eq!(fake.has_now("ExposureTime"), FeatureValue::Float(1000.0));
@@ -541,7 +543,7 @@ fn packet_sizes_are_the_cameras_or_refused_by_name() {
         all.contains("GevSCPSPacketSize cannot be set to 9000: the camera refuses it (out of range)"),
         "{all}"
     );
-    assert!(all.contains("say packet_bytes = 8164") && !all.contains("power"), "{all}");
+    assert!(all.contains("set packet_bytes = 8164") && !all.contains("power"), "{all}");
 }
 
 #[test]
