@@ -31,7 +31,7 @@ pub(super) struct Hold {
     end: u64,
 }
 
-/// The outcome of [`Hold::take`].
+/// The outcome of [`Hold::take`] for an item.
 pub(super) enum Passed {
     /// The item is passed on, with the recording's trigger index.
     On(ToWriter),
@@ -56,7 +56,7 @@ impl Hold {
         (self.end.saturating_sub(self.most), self.end)
     }
 
-    /// Takes the next item.
+    /// Takes the next item of the session.
     pub(super) fn take(&mut self, item: ToWriter) -> Passed {
         if let Some(first) = self.first {
             return match counted_from(first, item) {

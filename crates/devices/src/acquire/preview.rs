@@ -19,7 +19,7 @@ pub struct Sample {
     pub trigger: u64,
     /// When the frame arrived, host clock, ns.
     pub host_time_ns: u64,
-    /// Columns of the frame.
+    /// Number of columns of the frame.
     pub width: usize,
     /// Rows 0, 4, 8, ... of the frame, `width` bytes each.
     pub pixels: Vec<u8>,

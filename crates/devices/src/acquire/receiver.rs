@@ -65,7 +65,7 @@ pub struct ReceiverSetup {
 }
 
 impl Receiver {
-    /// Starts the thread.
+    /// Starts the receiver's thread for one stream.
     pub fn start(mut stream: Box<dyn FrameStream>, setup: ReceiverSetup) -> std::io::Result<Self> {
         let ReceiverSetup { camera, stream: number, recorder, progress, clock, patience } = setup;
         // The count of the camera's earlier streams in this session.

@@ -93,7 +93,7 @@ pub struct Progress {
     pub activity: Vec<AtomicU64>,
     /// Frames taken from each camera's stream, complete or not.
     pub received: Vec<AtomicU64>,
-    /// Frames written, per camera.
+    /// Frames written to the recording, per camera.
     pub frames: Vec<AtomicU64>,
     /// Gap records written, per camera.
     pub gaps: Vec<AtomicU64>,
@@ -121,7 +121,7 @@ impl Progress {
         self.ring.load(Ordering::Relaxed).saturating_sub(self.held_room.load(Ordering::Relaxed))
     }
 
-    /// Counts a gap record.
+    /// Counts a gap record of a camera.
     pub(super) fn gap(&self, camera: usize, cause: GapCause) {
         if let Some((gaps, causes)) = self.gaps.get(camera).zip(self.causes.get(camera)) {
             gaps.fetch_add(1, Ordering::Relaxed);

@@ -286,7 +286,7 @@ impl Writer {
         self.judge(written);
     }
 
-    /// Reports the first failure.
+    /// Reports the first failure of the recording to the node.
     fn judge(&mut self, written: Result<(), RecordError>) {
         let Err(error) = written else { return };
         if !std::mem::replace(&mut self.failed, true) {

@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a frame is: one image of grey, of the format, the size and at the place that were verified when its camera was
-//! prepared, and nothing beside it. A frame that is anything else is never recorded.
+//! The contract of a frame: one grey image with the format, the size and the place on the sensor that were verified when its
+//! camera was set up, and nothing beside it. Any other frame is not recorded.
 
 use crate::config::{Mosaic, Pixel};
 use std::fmt;
 
-/// What every frame of a stream must be.
+/// The contract that every frame of a stream must keep. The set-up makes it from what the camera reports; streams check
+/// each frame against it while the session runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameContract {
-    /// What a pixel is as the camera sends it.
+    /// Pixel format in which the camera sends.
     pub pixel: Pixel,
-    /// Columns and rows of the recording's image.
+    /// Columns and rows of the recorded image.
     pub size: (usize, usize),
-    /// Where the recording's pixel lies among those that the camera sends for it: column and row.
+    /// Column and row of the recorded pixel within the mosaic's two by two; (0, 0) for grey.
     pub place: (usize, usize),
     /// Column and row of the sensor at which the image begins.
     pub offset: (usize, usize),
@@ -21,7 +22,7 @@ pub struct FrameContract {
 }
 
 impl FrameContract {
-    /// Bytes of the image in a recording: one for each pixel.
+    /// Bytes of the recorded image: one per pixel.
     pub fn pixels(&self) -> usize {
         self.size.0 * self.size.1
     }
@@ -42,7 +43,7 @@ impl FrameContract {
         self.sent_bytes() + self.chunk_room
     }
 
-    /// What the recording does not have of what the camera sends.
+    /// Remarks about the parts of the camera's image that are not recorded.
     pub fn loss(&self) -> Vec<String> {
         let (name, depth) = (self.pixel.name(), self.pixel.depth());
         let bits = depth.checked_sub(8).filter(|lost| *lost > 0).map(|lost| {
@@ -62,96 +63,71 @@ impl FrameContract {
     }
 }
 
-/// What a frame is.
+/// The form of a received frame, to be compared with its contract.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameForm {
-    /// The image, as its leader has it; `None` where that says nothing of one (chunk data).
+    /// The image as its leader describes it; `None` where the leader describes none (chunk data).
     pub image: Option<ImageForm>,
-    /// Chunks follow it.
+    /// The chunks that follow the image, where there are any.
     pub chunks: Option<Chunks>,
-    /// Bytes that arrived; one more than the image has where more than that came.
+    /// Bytes that arrived; one more than the image has where even more came.
     pub bytes: usize,
 }
 
-/// Chunks of a frame.
+/// The chunks of a received frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Chunks {
-    /// The length of the first one, which is the image, where all that arrived is chunks.
+    /// Length of the first chunk, which is the image; `None` where the bytes that arrived are not chunks as a whole.
     pub first: Option<usize>,
 }
 
-/// What a leader says of an image.
+/// An image as the leader of its frame describes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ImageForm {
-    /// PFNC code of its pixels.
+    /// PFNC code of the pixel format.
     pub pixel_format: u32,
-    /// Columns and rows.
+    /// Columns and rows of the image.
     pub size: (i32, i32),
-    /// Column and row of the sensor at which it begins.
+    /// Column and row of the sensor at which the image begins.
     pub offset: (i32, i32),
-    /// Bytes after every row, and rows after the last one.
+    /// Bytes of padding after every row, and rows of padding after the last one.
     pub padding: (i32, i32),
 }
 
-/// How a frame breaks the contract.
+/// The first difference between a frame and its contract. `expected` is as verified when the camera was set up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Breach {
-    /// It is no plain image: something else, several parts, or an image with chunks that were not agreed on.
+    /// Not a plain image: something else, several parts, or an image with chunks that the contract excludes.
     Payload(Payload),
-    /// Its pixels are of another format.
-    PixelFormat {
-        /// PFNC code.
-        found: u32,
-        /// As verified.
-        expected: Pixel,
-    },
-    /// Values are larger than the format has bits.
+    /// Another pixel format; `found` is its PFNC code.
+    PixelFormat { found: u32, expected: Pixel },
+    /// Values that are larger than the pixel format has bits.
     TooLarge(Pixel),
-    /// It has another size.
-    Size {
-        /// Columns and rows.
-        found: (i32, i32),
-        /// As verified.
-        expected: (usize, usize),
-    },
-    /// It is another part of the sensor.
-    Offset {
-        /// Column and row.
-        found: (i32, i32),
-        /// As verified.
-        expected: (usize, usize),
-    },
-    /// Bytes after every row, and rows after the last one.
+    /// Another size: columns and rows.
+    Size { found: (i32, i32), expected: (usize, usize) },
+    /// Another part of the sensor: its first column and row.
+    Offset { found: (i32, i32), expected: (usize, usize) },
+    /// Padding: bytes after every row, and rows after the last one.
     Padding(i32, i32),
-    /// Its chunks do not begin with an image of the length agreed on, or are not whole.
-    Chunks {
-        /// Bytes of the first one; `None` where what arrived is no chunks.
-        first: Option<usize>,
-        /// As verified.
-        expected: usize,
-    },
-    /// More or fewer bytes arrived than it has pixels.
-    Bytes {
-        /// Bytes; one more than expected stands for any number.
-        found: usize,
-        /// As verified.
-        expected: usize,
-    },
+    /// The chunks are not whole (`first` is `None`), or do not begin with an image of the expected length in bytes.
+    Chunks { first: Option<usize>, expected: usize },
+    /// More or fewer bytes arrived than the image has; one more than expected stands for any larger number.
+    Bytes { found: usize, expected: usize },
 }
 
-/// What came instead of a plain image.
+/// The payload that came instead of a plain image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Payload {
     /// An image followed by chunks.
     WithChunks,
-    /// So many parts.
+    /// This number of parts (multi-part payload).
     Parts(u32),
-    /// Anything else, by its name.
+    /// Any other payload, by its name.
     Other(&'static str),
 }
 
 impl FrameContract {
-    /// How a frame breaks it.
+    /// The first difference between a frame and this contract.
     pub fn breach(&self, form: &FrameForm) -> Option<Breach> {
         if form.chunks.is_some() && self.chunk_room == 0 {
             return Some(Breach::Payload(Payload::WithChunks));
@@ -162,14 +138,14 @@ impl FrameContract {
         let (found, expected) = (form.bytes, self.sent_bytes());
         match form.chunks {
             None => (found != expected).then_some(Breach::Bytes { found, expected }),
-            // Either shows that no packet was short: the chunks are whole, or as many bytes came as the camera had announced.
+            // Either condition shows that no packet was short: whole chunks, or as many bytes as the camera announced.
             Some(Chunks { first }) if first == Some(expected) => None,
             Some(Chunks { first: None }) if form.image.is_some() && found == self.received_bytes() => None,
             Some(Chunks { first }) => Some(Breach::Chunks { first, expected }),
         }
     }
 
-    /// How an image breaks it.
+    /// The first difference between an image and this contract.
     fn image_breach(&self, form: &ImageForm) -> Option<Breach> {
         let same = |found: (i32, i32), expected: (usize, usize)| {
             usize::try_from(found.0) == Ok(expected.0) && usize::try_from(found.1) == Ok(expected.1)
@@ -214,7 +190,7 @@ impl fmt::Display for Breach {
             Self::TooLarge(pixel) => write!(
                 f,
                 "it has values of more than {} bits, which {} has not: the camera may put them at the upper end of their \
-                 bytes; name another format (pixel)",
+                 bytes; set pixel to another format",
                 pixel.depth(),
                 pixel.name()
             ),

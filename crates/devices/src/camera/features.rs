@@ -43,7 +43,7 @@ pub trait Features: Description {
     /// The limits of a number as the camera is set now.
     fn bounds_now(&self, feature: &str) -> Bounds;
 
-    /// Reads an integer feature.
+    /// Reads the value of an integer feature.
     fn integer(&self, feature: &str) -> Result<i64, Failed>;
 
     /// Reads an enumeration's entry or a text; [`Failed::Nonsense`] where the register matches no entry.

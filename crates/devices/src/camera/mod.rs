@@ -53,9 +53,9 @@ pub struct CameraListing {
     pub id: String,
     /// IP address, or the bus address of a USB camera.
     pub address: String,
-    /// Name of the manufacturer.
+    /// Name of the manufacturer, as the camera reports it.
     pub vendor: String,
-    /// Name of the model.
+    /// Name of the model, as the camera reports it.
     pub model: String,
     /// Serial number of the camera.
     pub serial: String,
@@ -189,7 +189,7 @@ pub struct Received {
     pub block: Block,
 }
 
-/// Discovers and opens cameras.
+/// Finds cameras, and opens them for one program at a time.
 pub trait CameraBackend: Send {
     /// All cameras that answer, without opening any.
     fn list(&mut self) -> Vec<CameraListing>;
@@ -267,7 +267,7 @@ pub trait Camera: Send {
     /// Starts the acquisition. From here on every trigger gives a frame.
     fn start(&mut self) -> Result<(), CameraError>;
 
-    /// Stops the acquisition.
+    /// Stops the acquisition; frames under way are dropped.
     fn stop(&mut self) -> Result<(), CameraError>;
 }
 

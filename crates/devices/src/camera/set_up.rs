@@ -61,7 +61,7 @@ pub fn set_up(camera: &dyn Features, wishes: &Wishes) -> Result<SetUp, CameraErr
     work.finish(&plan, &musts, &triggers)
 }
 
-/// A set-up under way.
+/// A set-up under way, with its findings so far.
 struct Work<'a> {
     camera: &'a dyn Features,
     wishes: &'a Wishes,

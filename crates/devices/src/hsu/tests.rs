@@ -126,7 +126,7 @@ proptest! {
         let (reader, writer, far) = far_end(portions, move |message| {
             now += 1000;
             turn += 1;
-            // Every third gets through whatever the pattern says, so that patience suffices.
+            // Every third message gets through whatever the pattern, so that patience suffices.
             let lose = |what: usize| turn % 3 != 0 && lost[(turn + what) % lost.len()];
             if lose(0) {
                 return Vec::new();
@@ -167,7 +167,7 @@ fn a_device_that_echoes_does_not_answer() {
 }
 
 #[test]
-fn a_broken_line_is_told_at_once() {
+fn a_broken_line_is_reported_at_once() {
     let (_, nothing) = unbounded();
     let (to_nobody, _) = unbounded();
     let reader = Receiving { bytes: nothing, rest: Vec::new(), portions: vec![1], reads: 0 };

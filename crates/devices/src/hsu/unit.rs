@@ -19,18 +19,19 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// The line's speed; a USB or pty device takes any.
+/// Speed of the serial line in baud; USB and pty devices ignore it.
 const BAUD: u32 = 921_600;
-/// How often the reading thread looks whether it is to stop.
+/// Longest wait of the reading thread before it checks whether to stop.
 const READ_PAUSE: Duration = Duration::from_millis(20);
-/// Between two looks at the status in [`Hsu::wait_armed`].
+/// Time between two requests for the status in [`Hsu::wait_armed`].
 const POLL: Duration = Duration::from_millis(20);
-/// How patient the host is.
+
+/// Timeouts of the host towards the unit.
 #[derive(Debug, Clone, Copy)]
 pub struct HsuTimeouts {
-    /// For one answer, and how often to ask.
+    /// Longest wait for an answer, and the number of attempts.
     pub patience: Patience,
-    /// Between two signs of life to the unit; well below [`HsuTiming::host_silence`].
+    /// Time between two heartbeats to the unit; well below [`HsuTiming::host_silence`].
     pub heartbeat: Duration,
 }
 
@@ -41,44 +42,46 @@ impl Default for HsuTimeouts {
     }
 }
 
-/// One reading of the unit's clock: it showed `time_ns` at some moment between the two instants.
+/// One reading of the unit's clock, which showed `time_ns` at some moment between the two instants.
 #[derive(Debug, Clone, Copy)]
 pub struct ClockSample {
-    /// Just before the question was written.
+    /// Just before the request was written.
     pub sent: Instant,
     /// Just after the answer was read.
     pub received: Instant,
-    /// The HSU's clock, ns.
+    /// Time on the HSU's clock, ns.
     pub time_ns: u64,
 }
 
-/// What the unit says of its input lines.
+/// Edges of the unit's input lines.
 #[derive(Debug, Clone, Copy)]
 pub struct InputEdges {
-    /// Number of the edge that comes next.
+    /// Number of the next edge, which is still to come.
     pub next: u64,
-    /// A bit a line, as its last edge left it.
+    /// Levels of the lines after their last edges, one bit each.
     pub levels: u8,
-    /// The edges, in order.
+    /// The requested edges, in order of their numbers.
     pub edges: Edges,
 }
 
-/// What the unit says of the time code.
+/// Time codes that the unit has decoded.
 #[derive(Debug, Clone, Copy)]
 pub struct HeardTimeCodes {
-    /// The input that it decodes.
+    /// The input that the unit decodes.
     pub input: Option<u8>,
-    /// Number of the code that comes next.
+    /// Number of the next code, which is still to come.
     pub next: u64,
-    /// Frames that were no good, since it was switched on.
+    /// Number of damaged time-code frames since power-up.
     pub refused: u32,
-    /// Number of the first of `codes`; they are consecutive.
+    /// Number of the first of `codes`, which are consecutive.
     pub first: u64,
-    /// The codes, in order.
+    /// The requested codes, in order of their numbers.
     pub codes: TimeCodeFrames,
 }
 
-/// A connected HSU. Dropping it says goodbye and closes the device.
+/// A connected HSU, as this node sees it. [`TriggerUnit::connect`](super::TriggerUnit::connect) makes it, and the node owns it.
+/// Each command is answered, refused or timed out; events come once and in order. Dropping it sends a goodbye and closes the
+/// device.
 #[derive(Debug)]
 pub struct Hsu {
     conversation: Arc<Conversation>,
@@ -89,8 +92,7 @@ pub struct Hsu {
 }
 
 impl Hsu {
-    /// Opens the serial device and greets the unit as node `role`. From then on signs of life are sent
-    /// automatically.
+    /// Opens the serial device and greets the unit as node `role`. From then on heartbeats are sent automatically.
     pub fn connect(device: &Path, role: &NodeId, timeouts: &HsuTimeouts) -> Result<Self, HsuError> {
         let name = device.display().to_string();
         let open = |error: serialport::Error| HsuError::Open {
@@ -98,7 +100,7 @@ impl Hsu {
             cause: error.to_string(),
         };
         let writer = serialport::new(&name, BAUD).timeout(READ_PAUSE).open().map_err(open)?;
-        // What an earlier conversation left in the driver.
+        // Discard bytes of an earlier connection in the driver.
         writer.clear(serialport::ClearBuffer::Input).map_err(open)?;
         let reader = writer.try_clone().map_err(open)?;
         Self::over(reader, writer, name, role, timeouts)
@@ -121,7 +123,7 @@ impl Hsu {
         let link = Link::start(&device, reader, writer, move |message| {
             let (feed, wake) = &for_link;
             if feed.take(message) {
-                // A keeper that is already woken looks at the hole anyway.
+                // A keeper thread that is already woken fills the hole anyway.
                 let _ = wake.try_send(());
             }
         })
@@ -137,32 +139,32 @@ impl Hsu {
         Ok(Self { conversation, welcome, timing_digest: Mutex::new(0), wake, keeper: Some(keeper) })
     }
 
-    /// Who the unit is.
+    /// Product name, unique id and firmware of the unit.
     pub fn identity(&self) -> &Identity {
         &self.welcome.identity
     }
 
-    /// What the unit said of itself in the handshake.
+    /// The unit's answer to the greeting.
     pub fn welcome(&self) -> &Welcome {
         &self.welcome
     }
 
-    /// What the unit reports by itself. The channel holds 8192 events; if it is not read, the oldest give way.
+    /// The unit's events. The channel holds 8192; if it is not read, the oldest are discarded.
     pub fn events(&self) -> &Receiver<HsuEvent> {
         &self.conversation.feed.receiver
     }
 
-    /// Events that gave way because nobody took them.
+    /// Number of events that were discarded because the channel was full.
     pub fn dropped_events(&self) -> u64 {
         self.conversation.feed.dropped.load(Ordering::Relaxed)
     }
 
-    /// Broken frames and unreadable messages from the unit.
+    /// Number of damaged frames and unreadable messages from the unit.
     pub fn bad_frames(&self) -> u32 {
         self.conversation.link.bad_frames()
     }
 
-    /// Sets the timing and checks the unit's echo of it. Needed on every node before [`Self::arm`].
+    /// Sets the timing, and checks that the unit repeats it. Required on every node before [`Self::arm`].
     pub fn configure(&self, timing: &HsuTiming) -> Result<(), HsuError> {
         let wire = timing.to_wire()?;
         match self.conversation.ask("the timing", Request::Configure(Ok(wire)))? {
@@ -174,7 +176,7 @@ impl Hsu {
         }
     }
 
-    /// Arms this node's link. The unit is armed when all nodes in the request have asked for the same.
+    /// Arms this node's link. The unit is armed when all nodes of the request have sent the same request.
     pub fn arm(&self, request: &ArmRequest) -> Result<(), HsuError> {
         let digest = *self.timing_digest.lock().unwrap_or_else(PoisonError::into_inner);
         let wire = request.to_wire(digest)?;
@@ -182,13 +184,13 @@ impl Hsu {
         self.command("arming", Request::Arm(wire))
     }
 
-    /// Takes up the triggers of a session that another connection has armed, from number `next` on: those fired
-    /// meanwhile are asked for.
+    /// Takes up the triggers of a session that another connection has armed, from number `next` on; triggers that were fired
+    /// in the meantime are requested.
     pub fn resume(&self, session: SessionId, next: i64) {
         self.conversation.feed.begin(session, next);
     }
 
-    /// Waits until all nodes have armed the session (or it has gone on from there).
+    /// Waits until all nodes have armed the session, or it is already running or finished.
     pub fn wait_armed(&self, session: SessionId, patience: Duration) -> Result<Status, HsuError> {
         let begun = Instant::now();
         loop {
@@ -207,12 +209,12 @@ impl Hsu {
         }
     }
 
-    /// Starts the train; any one node may. The first trigger comes a period later.
+    /// Starts the train; any one node may do so. The first trigger comes a period later.
     pub fn start(&self, session: SessionId) -> Result<(), HsuError> {
         self.command("the start", Request::Start(session))
     }
 
-    /// Starts the train at the next such edge of an input; any one node may. [`Self::stop`] takes it back.
+    /// Starts the train at the next edge of this slope on an input; any one node may do so. [`Self::stop`] cancels it.
     pub fn start_at_edge(&self, session: SessionId, slope: Slope) -> Result<(), HsuError> {
         self.command("the start at an input", Request::StartAtEdge(session, slope))
     }
@@ -226,7 +228,7 @@ impl Hsu {
         }
     }
 
-    /// Says which input carries linear time code, until this link ends. Its edges are not told any more.
+    /// Selects the input that carries linear time code, until this link ends. Its edges are not reported any more.
     pub fn set_time_code(&self, input: Option<u8>) -> Result<(), HsuError> {
         self.command("the input of the time code", Request::SetTimeCode(input))
     }
@@ -247,13 +249,13 @@ impl Hsu {
         self.command("the stop", Request::Stop(session))
     }
 
-    /// Ends the train at once, or takes the arming of all nodes back; [`HsuEvent::Done`] follows.
+    /// Ends the train at once, or disarms all nodes; [`HsuEvent::Done`] follows.
     /// [`SessionId::NONE`]: whichever session it is.
     pub fn disarm(&self, session: SessionId) -> Result<(), HsuError> {
         self.command("disarming", Request::Disarm(session))
     }
 
-    /// The unit's status.
+    /// Requests the unit's current status.
     pub fn status(&self) -> Result<Status, HsuError> {
         match self.conversation.ask("the request for its status", Request::ReadStatus)? {
             UnitToHost::Status(_, status) => Ok(status),
@@ -283,7 +285,7 @@ impl Hsu {
         }
     }
 
-    /// Asks for past triggers again: those of `count` from `first` on that the unit still has (the last 512).
+    /// Requests past triggers again: those of `count` from `first` on that the unit still has (the last 512).
     pub fn query_triggers(
         &self,
         session: SessionId,

@@ -33,9 +33,9 @@ pub struct Answer {
     pub mac: Mac,
     /// The camera's current IPv4 address.
     pub address: Ipv4Addr,
-    /// Name of the manufacturer.
+    /// Name of the manufacturer, as the camera reports it.
     pub vendor: String,
-    /// Name of the model.
+    /// Name of the model, as the camera reports it.
     pub model: String,
     /// Serial number of the camera.
     pub serial: String,

@@ -31,7 +31,7 @@ const PENDING_PATIENCE: Duration = Duration::from_secs(3);
 /// The address that a camera has after its power was switched off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum KeptAddress {
-    /// This persistent address.
+    /// A persistent address, which is this one.
     Kept(Ipv4Addr),
     /// An address by DHCP, or one of its own choice in 169.254.0.0/16.
     Any,

@@ -18,7 +18,7 @@ const HOST_NS: u64 = 50_000_000_000;
 /// By trigger and camera: the block that was recorded, or why there is none.
 type Outcomes = BTreeMap<(u64, usize), Result<u64, GapCause>>;
 
-/// Keeps outcomes.
+/// A sink that keeps all outcomes.
 struct Kept(Arc<Mutex<Outcomes>>);
 
 impl Sink for Kept {
@@ -138,7 +138,7 @@ impl Desk {
         }
     }
 
-    /// Whether the camera's clock was asked for.
+    /// Whether a reading of the camera's clock was requested.
     fn was_asked(&self) -> bool {
         self.closed.try_iter().any(|event| matches!(event, RecorderEvent::Doubtful { camera: 0 }))
     }
@@ -344,7 +344,7 @@ fn two_cameras_stand_in_for_reports_that_are_still_missing_when_the_link_is_back
 }
 
 /// The serial line is slow now in one direction, now in the other, and then silent for five seconds: the HSU's clock is known
-/// less well than what the cameras' timestamps go on to say.
+/// less well than the later timestamps of the cameras.
 #[test]
 fn a_link_that_is_silent_for_seconds_costs_no_frame() {
     let mut desk = Desk::new(2);

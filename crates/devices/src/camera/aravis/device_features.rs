@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Features and registers of a camera that Aravis has opened.
 
-use super::{AravisCamera, checked, holder, said};
+use super::registers::holder;
+use super::{AravisCamera, checked, said};
 use crate::camera::CameraError;
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
 use crate::camera::features::{Failed, Features};
@@ -10,27 +11,27 @@ use aravis::prelude::*;
 use glib::prelude::{Cast, IsA, ObjectExt};
 use std::collections::BTreeSet;
 
-/// No camera has more features.
+/// Most features that are listed; no camera has as many.
 const FEATURES_MAX: usize = 5000;
-/// Limits beyond this are none.
+/// Limits of floats beyond this mean that there is none.
 const UNBOUNDED: f64 = 1e300;
-/// Aravis gives the least number where there is no step.
+/// Steps below this mean that there is none: Aravis then gives the least positive number.
 const NO_STEP: f64 = 1e-12;
 
-/// Whether the camera did not answer at all, as opposed to refusing.
+/// Whether the camera did not answer, as opposed to a refusal.
 pub(super) fn is_silence(error: &glib::Error) -> bool {
     use aravis::DeviceError::{NotConnected, Timeout, TransferError};
     [Timeout, NotConnected, TransferError].iter().any(|kind| error.matches(*kind))
 }
 
-/// Whether the camera refused because we are not its controller, or because the feature is locked.
+/// Whether the camera refused because another program controls it, or because the feature is locked.
 fn is_refusal(error: &glib::Error) -> bool {
     use aravis::DeviceError::{NotController, ProtocolErrorAccessDenied};
     [NotController, ProtocolErrorAccessDenied].iter().any(|kind| error.matches(*kind))
 }
 
 impl AravisCamera {
-    /// What it means that something could not be read.
+    /// The meaning of an error while reading.
     fn failed(&self, error: &glib::Error) -> Failed {
         let detail = said(error);
         if is_silence(error) {
@@ -42,20 +43,20 @@ impl AravisCamera {
         }
     }
 
-    /// What it means that something could not be set: a feature may be locked, which is no loss of control.
+    /// The meaning of an error while writing: a denied access may be a locked feature, which is no loss of control.
     pub(super) fn not_set(&self, error: &glib::Error) -> Failed {
         let detail = said(error);
         if is_silence(error) {
             return Failed::Lost(CameraError::Link { doing: "setting its features", detail });
         }
-        // One that was restarted has no controller, and the next heartbeat has not told us yet.
+        // A camera that was restarted has no controller, and the next heartbeat will notice it.
         if is_refusal(error) && self.privilege() == Some(0) {
             return Failed::Lost(CameraError::NotOurs { holder: None, detail });
         }
         Failed::Refused(detail)
     }
 
-    /// The text of a feature. Inner error: what an enumeration's register holds that none of its entries has.
+    /// The text of a feature. Inner error: the value of an enumeration's register that matches none of its entries.
     fn entry(&self, feature: &str) -> Result<Result<String, String>, Failed> {
         let text = checked::string(&self.device, feature).map_err(|error| self.failed(&error))?;
         let Some(text) = text else {
@@ -90,7 +91,7 @@ fn kind_of(node: &aravis::GcFeatureNode) -> Kind {
     kinds.into_iter().find(|(is_it, _)| *is_it).map_or(Kind::Other, |(_, kind)| kind)
 }
 
-/// The entries that the camera has at all; which of them it has now is another question.
+/// The entries that the camera implements, whether they can be selected now or not.
 fn entries_of(node: &aravis::GcFeatureNode) -> Vec<String> {
     let Some(node) = node.downcast_ref::<aravis::GcEnumeration>() else { return Vec::new() };
     let there = node.entries().into_iter().filter(|entry| entry.is_implemented().unwrap_or(true));
@@ -136,7 +137,7 @@ impl Description for AravisCamera {
                 _ => Access::ReadWrite,
             },
             unit: checked::unit_of(&node).filter(|unit| !unit.is_empty()),
-            // They depend on how the camera is set: asked when something is written.
+            // Bounds may depend on other features, so they are read when a feature is written.
             bounds: Bounds::default(),
             entries: entries_of(&node),
         })
@@ -145,7 +146,7 @@ impl Description for AravisCamera {
 
 impl Features for AravisCamera {
     fn has(&self, feature: &str) -> bool {
-        // A description is often that of a whole family.
+        // A description may be that of a whole family of models.
         self.node(feature).is_some_and(|node| node.is_implemented().unwrap_or(true))
     }
 
@@ -244,7 +245,7 @@ impl Features for AravisCamera {
             }
             child = property.next_sibling();
         }
-        // Some that are said to be write-only can be read all the same.
+        // Some registers can be read although the description calls them write-only.
         let value = register?.dynamic_cast_ref::<aravis::GcInteger>()?.value().ok()?;
         Some(value != started?)
     }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Has a GigE camera send test packets, and receives them.
+//! Makes a GigE camera send test packets, and receives them.
 
 use super::device_features::is_silence;
+use super::registers::{DESTINATION, HOST_PORT, OWN_ADDRESS, PACKET_SIZE};
 use super::{AravisCamera, checked, link_error};
 use crate::camera::features::{Features as _, answered};
 use crate::camera::packet_size::FEATURE;
@@ -13,14 +14,6 @@ use std::io;
 use std::net::{IpAddr, Ipv4Addr, UdpSocket};
 use std::time::{Duration, Instant};
 
-/// Register with the camera's own address (GigE Vision bootstrap).
-const OWN_ADDRESS: u64 = 0x0024;
-/// Register with the host's port of the first stream.
-const HOST_PORT: u64 = 0x0d00;
-/// Register with the packet size of the first stream, and flags.
-const PACKET_SIZE: u64 = 0x0d04;
-/// Register with the host's address of the first stream.
-const DESTINATION: u64 = 0x0d18;
 /// Bit of the packet size that sends one test packet now.
 const FIRE: u32 = 1 << 31;
 /// Bit of the packet size that forbids to fragment packets on their way.
@@ -34,7 +27,7 @@ const TRIES: usize = 3;
 
 const DOING: &str = "testing the packet size";
 
-/// A camera's test packets.
+/// A test of packet sizes under way.
 struct Tests<'a> {
     camera: &'a AravisCamera,
     socket: UdpSocket,
@@ -47,7 +40,7 @@ fn on_this_host(error: &io::Error) -> CameraError {
     CameraError::Link { doing: DOING, detail: format!("no socket for its packets: {error}") }
 }
 
-/// A socket by which this host is reached from the camera's network.
+/// A socket on the address by which the camera reaches this host, and that address.
 fn socket_towards(camera: Ipv4Addr) -> io::Result<(UdpSocket, Ipv4Addr)> {
     let way = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
     way.connect((camera, GVCP_PORT))?;
@@ -58,7 +51,7 @@ fn socket_towards(camera: Ipv4Addr) -> io::Result<(UdpSocket, Ipv4Addr)> {
 }
 
 impl AravisCamera {
-    /// See [`crate::camera::Camera::test_packet_size`].
+    /// Finds the largest packet that arrives, see [`crate::camera::Camera::test_packet_size`].
     pub(super) fn test_packets(&self, requested: u32) -> Result<Option<PacketTest>, CameraError> {
         let error = link_error(DOING);
         let from = Ipv4Addr::from_bits(checked::register(&self.device, OWN_ADDRESS).map_err(&error)?);
@@ -77,13 +70,13 @@ impl AravisCamera {
         self.close_stream_channel();
         match found? {
             Some(found) => Ok(Some(found)),
-            // Not every camera has such packets, and then its own description does not name them.
+            // A camera without test packets does not have this feature.
             None if !self.has("GevSCPSFireTestPacket") => Ok(None),
             None => Err(CameraError::NoTestPackets { patience_ms: PATIENCE.as_millis() * TRIES as u128 }),
         }
     }
 
-    /// The packet sizes that its description allows; any where it says nothing that has sense.
+    /// The packet sizes that the description allows; any size where its limits contradict each other.
     fn packet_sizes(&self) -> Sizes {
         let limits = checked::integer_bounds(&self.device, FEATURE).unwrap_or((i64::MIN, i64::MAX));
         let step = self.device.integer_feature_increment(FEATURE).unwrap_or(1);
@@ -97,7 +90,7 @@ impl AravisCamera {
 }
 
 impl Tests<'_> {
-    /// Writes a register; whether the camera took it.
+    /// Writes a register; `false` where the camera refuses.
     fn set(&self, register: u64, value: u32) -> Result<bool, CameraError> {
         let written = self.camera.device.write_register(register, value);
         Ok(answered(written.map_err(|error| self.camera.not_set(&error)))?.is_some())

@@ -85,7 +85,7 @@ impl Wishes {
         self.words.left_to_settings.iter().any(|left| left == word)
     }
 
-    /// The required exposure, microseconds.
+    /// The required exposure: the node file's, else the rig's, microseconds.
     pub fn exposure_us(&self) -> f64 {
         self.words.exposure_us.unwrap_or(self.exposure_us)
     }
@@ -94,7 +94,7 @@ impl Wishes {
 /// The value that a feature is set to.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Amount {
-    /// Exactly this value.
+    /// Exactly this value, without a tolerance.
     Value(FeatureValue),
     /// The camera's value nearest to a number in the unit of the key.
     Near {
@@ -124,10 +124,10 @@ pub enum Scale {
     Gain,
 }
 
-/// One feature to set.
+/// One feature to set, and how.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Write {
-    /// Name of the feature.
+    /// Name of the feature as the camera spells it.
     pub feature: String,
     /// The value that it is set to.
     pub amount: Amount,
@@ -151,7 +151,7 @@ impl Write {
     }
 }
 
-/// Why a camera cannot be used as the node file says.
+/// Why a camera cannot be used as the node file requests.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Trouble {
     /// Name of the feature that the message is about.

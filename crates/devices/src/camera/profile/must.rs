@@ -9,7 +9,7 @@ use crate::config::FeatureValue;
 /// The value that a feature must have.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Want {
-    /// Exactly this value.
+    /// Exactly this value, without a tolerance.
     Value(FeatureValue),
     /// The least value that the camera takes.
     Least,
@@ -18,7 +18,7 @@ pub enum Want {
 /// One requirement on a camera's feature.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Must {
-    /// Name of the feature.
+    /// Name of the feature as the camera spells it.
     pub feature: String,
     /// The value that it must have.
     pub want: Want,

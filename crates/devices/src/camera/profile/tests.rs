@@ -20,7 +20,7 @@ impl Description for Made {
     }
 }
 
-/// `Name:kind[:unit][=entry,entry][ro]`, separated by blanks.
+/// A description from `Name:kind[:unit][=entry,entry][ro]`, separated by blanks.
 pub(crate) fn made(text: &str) -> Made {
     let feature = |word: &str| {
         let (word, access) = match word.strip_suffix("!ro") {
@@ -44,7 +44,7 @@ pub(crate) fn made(text: &str) -> Made {
     Made(text.split_whitespace().map(feature).collect())
 }
 
-/// What most cameras have.
+/// The features that most cameras have.
 const USUAL: &str = "PixelFormat=Mono8,Mono12 Width:int Height:int OffsetX:int OffsetY:int ExposureTime:float:us \
                      Gain:float:dB TriggerMode=Off,On TriggerSource=Line0,Software TriggerActivation=RisingEdge,FallingEdge \
                      TriggerSelector=FrameStart,AcquisitionStart AcquisitionMode=Continuous,SingleFrame";
@@ -198,7 +198,7 @@ fn exposures_of_all_standards_are_found() {
         assert!(plan.contains(&format!(" {expected} ")), "{has}: {plan}");
     }
     let text = trouble(&usual(&[("ExposureTime", "ExposureTimeRaw:int")]), &wishes());
-    assert!(text.contains("how long one is"), "{text}");
+    assert!(text.contains("the length of one"), "{text}");
     let text = trouble(&usual(&[("ExposureTime", "ExposureTimer:cmd")]), &wishes());
     assert!(text.contains("nearest names: ExposureTimer") && text.contains("left_to_settings"), "{text}");
 }
@@ -383,7 +383,7 @@ fn deeper_grey_is_taken_where_it_is_named_or_where_there_is_no_8_bits() {
     let named = |pixel| said(|words| words.pixel = Some(pixel));
     assert_eq!(chosen("Mono8,Mono12p", &named(Pixel::Mono12p)), "Mono12p");
     let text = trouble(&has("Mono8,Mono12p"), &named(Pixel::Mono16));
-    assert!(text.contains("`Mono16` is not an entry of PixelFormat: Mono8, Mono12p; name one"), "{text}");
+    assert!(text.contains("`Mono16` is not an entry of PixelFormat: Mono8, Mono12p; set pixel"), "{text}");
     let text = trouble(&has("Mono10p"), &Wishes { size: (1922, 1200), ..named(Pixel::Mono10p) });
     assert!(text.contains("needs rows of a multiple of 4 columns, and the rig has 1922"), "{text}");
     // A plane of a mosaic: whatever its filters are, and twice the columns and rows.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A camera made up of features with values, locks and habits, set up as a node file says.
+//! A camera in memory, with features, values, locks and habits, set up as a node file requests.
 
 use super::{SetUp, changed, set_up};
 use crate::camera::CameraError;
@@ -19,15 +19,15 @@ struct Fake {
     delivery: BTreeMap<String, FeatureValue>,
     /// Exposures are whole multiples of this.
     line_us: f64,
-    /// What it refuses.
+    /// Features that it refuses to set.
     stubborn: Vec<&'static str>,
     habits: Habits,
 }
 
-/// What some cameras do that no description tells.
+/// Behaviour of some cameras that no description contains.
 #[derive(Default)]
 struct Habits {
-    /// What `UserSetLoad` says, once asked before it is executed, and whenever it is asked after that.
+    /// Whether `UserSetLoad` reports to be done, before and after it is executed.
     done: Option<(Option<bool>, Option<bool>)>,
     loaded: Cell<bool>,
     /// It goes on changing after that.
@@ -276,7 +276,7 @@ fn what_the_last_user_left_is_mended_and_told() {
         assert!(told.contains(words), "{told}");
     }
     assert_eq!((done.contract.size, done.contract.offset), ((1920, 1200), (0, 0)));
-    // A settled camera has nothing to tell.
+    // A camera that is set already gets no remark.
     assert_eq!(set_up(&fake, &wanted()).expect("again").remarks, [""; 0]);
 }
 
@@ -321,7 +321,7 @@ fn deeper_grey_is_told_and_its_lower_byte_must_come_first() {
     let done = set_up(&Fake::new(), &twelve).expect("set up");
     assert_eq!((done.contract.pixel, done.contract.received_bytes()), (Pixel::Mono12, 2 * 1920 * 1200));
     assert!(done.remarks.iter().any(|told| told.contains("the lower 4 are lost")), "{:?}", done.remarks);
-    // Named by settings, it is what they say.
+    // A format that raw settings name is used as it is.
     let mut left = wanted();
     left.words.left_to_settings = vec!["pixel".to_owned()];
     left.raw = vec![FeatureSetting { feature: "PixelFormat".to_owned(), value: text("Mono12") }];
@@ -443,7 +443,7 @@ fn with(features: &str, values: &[(&str, FeatureValue)]) -> Fake {
 
 #[test]
 fn a_load_that_never_says_done_is_settled_read_back_and_told() {
-    // 0 for the default set is what the register says anyway; another number stays there for ever.
+    // The register may hold 0 for the default set before and after; another number stays there for ever.
     for done in [(Some(false), Some(false)), (Some(true), Some(false))] {
         let mut fake = Fake::new();
         fake.habits.done = Some(done);
@@ -458,7 +458,7 @@ fn a_load_that_never_says_done_is_settled_read_back_and_told() {
         );
         assert_eq!(fake.has_now("ExposureTime"), FeatureValue::Float(1000.0));
     }
-    // One that says so is believed at once, and nothing is told of it.
+    // A camera that reports the end is trusted at once, without a remark.
     let mut fake = Fake::new();
     fake.habits.done = Some((Some(true), Some(true)));
     let set = set_up(&fake, &wanted()).expect("set up");
@@ -489,7 +489,7 @@ fn a_mode_that_is_one_for_all_triggers_is_looked_at_once() {
         (fake.has_now("TriggerSelector"), fake.has_now("TriggerMode")),
         (text("FrameStart"), text("On"))
     );
-    // Two that are on by themselves are two all the same, and stay as somebody wants them.
+    // Two that are on by themselves are two all the same, and stay as they were.
     let fake = Fake::new();
     let mut wishes = wanted();
     let raw = |feature: &str, value: &str| FeatureSetting { feature: feature.to_owned(), value: text(value) };

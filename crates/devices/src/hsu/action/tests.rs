@@ -25,7 +25,7 @@ fn setup(address: Ipv4Addr, ptp: Option<PtpClock>) -> ActionSetup {
     }
 }
 
-/// Fires so many triggers; gives their reports with when each was heard.
+/// Fires triggers; gives their numbers and times, and when each report arrived.
 fn train(setup: &ActionSetup, triggers: u64) -> Vec<(i64, u64, u64)> {
     let role = NodeId("a".to_owned());
     let hsu = setup.connect(&role, &HsuTimeouts::default()).expect("a unit");
@@ -78,7 +78,7 @@ fn at_once_each_trigger_is_one_command_and_one_report() {
     let expected: Vec<Vec<u8>> = (-3..5).map(|n| action(request_id(n), setup.keys, None)).collect();
     assert_eq!(received(&socket), expected);
     let (_, tally) = setup.tally.counts().remove(0);
-    assert_eq!((tally.sent, tally.acknowledged, tally.unanswered), (8, 0, 8), "nobody answered");
+    assert_eq!((tally.sent, tally.acknowledged, tally.unanswered), (8, 0, 8), "no camera answered");
 }
 
 #[test]
@@ -103,10 +103,7 @@ fn scheduled_a_command_has_its_triggers_time_and_no_report_comes_before_it() {
         let at = packet.get(20..).and_then(|rest| rest.first_chunk()).map(|rest| u64::from_be_bytes(*rest));
         let at = at.expect("a time");
         assert_eq!(packet, action(request_id(*number), setup.keys, Some(at)));
-        assert!(
-            at.abs_diff(time_ns + ahead) < 100_000,
-            "trigger {number} at {at}, its report says {time_ns}"
-        );
+        assert!(at.abs_diff(time_ns + ahead) < 100_000, "trigger {number} at {at}, its report has {time_ns}");
     }
 }
 
@@ -152,7 +149,7 @@ fn answers_are_counted_once_and_what_came_late_is_named_with_its_trigger() {
     assert_eq!(named(&tally), [(65_535, 65_535)], "the other one was of the warm-up");
     tally.begin();
     assert_eq!(named(&tally), []);
-    // PTP: what was not exposed when the last good status was asked for, up to what is not when the next one comes.
+    // PTP: what was not exposed when the last good status was requested, up to what is not when the next one comes.
     assert_eq!(tally.unexposed(), i64::MIN);
     tally.ptp(&id, "Slave", tally.unexposed());
     fire(4, 0);
