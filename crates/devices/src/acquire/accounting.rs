@@ -429,24 +429,24 @@ impl Accounting {
 
     /// Passes finished sets to the ring, or drops them where it has no room.
     fn pass_sets_on(&mut self, all: bool) {
-        while let Some(mut set) = self.sets.next(Instant::now(), all) {
-            let dropped_before = self.full.as_ref().is_some_and(|full| full.last == set.trigger);
-            let broken = self.pauses.is_broken(set.trigger);
+        while let Some((trigger, mut frames)) = self.sets.next(Instant::now(), all) {
+            let dropped_before = self.full.as_ref().is_some_and(|full| full.last == trigger);
+            let broken = self.pauses.is_broken(trigger);
             if broken {
                 // The frames of an incomplete set are given up, too, with the pause as their cause.
-                self.give_up_set(set.trigger, &mut set.frames, GapCause::NodePaused);
-            } else if !all && (dropped_before || !self.ring.has_room_for(set.frames.len())) {
-                self.drop_set(set.trigger, &mut set.frames);
-            } else if !set.frames.is_empty() {
+                self.give_up_set(trigger, &mut frames, GapCause::NodePaused);
+            } else if !all && (dropped_before || !self.ring.has_room_for(frames.len())) {
+                self.drop_set(trigger, &mut frames);
+            } else if !frames.is_empty() {
                 self.end_of_full();
-                for mut frame in set.frames.drain(..) {
+                for mut frame in frames.drain(..) {
                     self.progress.latencies.assembled.record(frame.since.elapsed());
                     frame.since = Instant::now();
                     self.ring.frame(frame);
                 }
                 self.progress.ring_high_water.fetch_max(self.progress.in_ring(), Ordering::Relaxed);
             }
-            self.sets.recycle(set.frames);
+            self.sets.recycle(frames);
         }
     }
 

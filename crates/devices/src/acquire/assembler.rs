@@ -28,15 +28,6 @@ struct Open<F> {
     since: Instant,
 }
 
-/// The frames of one trigger, or those that came after the others were passed on.
-#[derive(Debug)]
-pub struct FrameSet<F> {
-    /// Index of the set's trigger.
-    pub trigger: u64,
-    /// The frames, in the order in which they came.
-    pub frames: Vec<F>,
-}
-
 impl<F> Assembler<F> {
     /// An assembler for up to 64 cameras. A set waits for its last outcome at most for `patience`, and only while there are
     /// at most `most_open` sets.
@@ -79,8 +70,9 @@ impl<F> Assembler<F> {
         open.frames.extend(frame);
     }
 
-    /// The next set that is complete or has waited long enough; sets leave in order. `all`: complete or not.
-    pub fn next(&mut self, now: Instant, all: bool) -> Option<FrameSet<F>> {
+    /// The next set that is complete or has waited long enough, with its trigger; sets leave in order. Frames that come after
+    /// their set has left form a set of their own. `all`: complete or not.
+    pub fn next(&mut self, now: Instant, all: bool) -> Option<(u64, Vec<F>)> {
         let first = self.open.front()?;
         let complete = first.outcomes & self.expected == self.expected || first.trigger < self.passed;
         let late = now.saturating_duration_since(first.since) >= self.patience;
@@ -90,7 +82,7 @@ impl<F> Assembler<F> {
         }
         let open = self.open.pop_front()?;
         self.passed = self.passed.max(open.trigger + 1);
-        Some(FrameSet { trigger: open.trigger, frames: open.frames })
+        Some((open.trigger, open.frames))
     }
 
     /// Takes an emptied set's memory back.
@@ -126,7 +118,7 @@ mod tests {
         assert!(sets.next(now, false).is_none());
         sets.outcome(2, 5, None, now);
         let set = sets.next(now, false).expect("complete");
-        assert_eq!((set.trigger, set.frames), (5, vec!["a5", "b5"]));
+        assert_eq!(set, (5, vec!["a5", "b5"]));
         assert!(sets.next(now, false).is_none());
     }
 
@@ -137,11 +129,11 @@ mod tests {
         sets.outcome(0, 1, Some("a1"), now);
         let later = now + PATIENCE;
         let numbers: Vec<u64> =
-            std::iter::from_fn(|| sets.next(later, false)).map(|set| set.trigger).collect();
+            std::iter::from_fn(|| sets.next(later, false)).map(|(trigger, _)| trigger).collect();
         assert_eq!(numbers, [0, 1]);
         sets.outcome(1, 0, Some("b0"), later);
         let set = sets.next(later, false).expect("it follows at once");
-        assert_eq!((set.trigger, set.frames), (0, vec!["b0"]));
+        assert_eq!(set, (0, vec!["b0"]));
     }
 
     #[test]

@@ -78,7 +78,7 @@ impl CameraBackend for AravisCameras {
 
     fn open(&mut self, address: &str) -> Result<Box<dyn Camera>, CameraError> {
         let not_found =
-            |e: glib::Error| CameraError::NotFound { address: address.to_owned(), detail: said(&e) };
+            |e: glib::Error| CameraError::NotFound { address: address.to_owned(), detail: message_of(&e) };
         let camera = checked::open(address).map_err(not_found)?;
         let device = camera
             .device()
@@ -108,11 +108,11 @@ struct AravisCamera {
 }
 
 fn link_error(doing: &'static str) -> impl Fn(glib::Error) -> CameraError {
-    move |e| CameraError::Link { doing, detail: said(&e) }
+    move |e| CameraError::Link { doing, detail: message_of(&e) }
 }
 
 /// Aravis' error text for messages, without the GenICam nodes `[Width] [WidthReg] ...` in front, which go to the log.
-fn said(error: &glib::Error) -> String {
+fn message_of(error: &glib::Error) -> String {
     let whole = error.message();
     let short = without_nodes(whole);
     if short != whole {

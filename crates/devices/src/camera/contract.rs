@@ -294,7 +294,7 @@ mod tests {
         assert!(plane.loss()[0].contains("(2u + 1, 2v + 0)"), "{:?}", plane.loss());
     }
 
-    /// Where they were agreed on, chunks follow the image: their own lengths say that all of them came, or all bytes do.
+    /// With room for chunks, chunks may follow the image: their own lengths, or all bytes, show that they are whole.
     #[test]
     fn chunks_are_taken_where_there_is_room_for_them() {
         let room = FrameContract { chunk_room: 24, ..CONTRACT };
@@ -313,6 +313,6 @@ mod tests {
             FrameForm { image: Some(ImageForm { size: (320, 100), ..IMAGE }), ..with(Some(64_000), 64_024) };
         assert!(matches!(room.breach(&wrong), Some(Breach::Size { .. })));
         let padded = FrameForm { bytes: 64_024, ..of(IMAGE) };
-        assert!(matches!(room.breach(&padded), Some(Breach::Bytes { .. })), "no chunks are said");
+        assert!(matches!(room.breach(&padded), Some(Breach::Bytes { .. })), "the frame has no chunks");
     }
 }

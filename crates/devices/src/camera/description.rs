@@ -55,8 +55,6 @@ pub struct Feature {
     pub access: Access,
     /// The unit of its number, as the camera spells it.
     pub unit: Option<String>,
-    /// Limits that do not depend on other features.
-    pub bounds: Bounds,
     /// Names of the entries of an enumeration; empty for other kinds.
     pub entries: Vec<String>,
 }

@@ -3,7 +3,7 @@
 
 use super::CameraError;
 use super::description::{Access, Bounds, Description, Kind};
-use super::state::State;
+use super::settings::State;
 use crate::config::FeatureValue;
 
 /// Why a feature could not be read or set.

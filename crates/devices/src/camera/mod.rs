@@ -24,7 +24,6 @@ mod set_up;
 mod settings;
 #[cfg(feature = "aravis")]
 mod source_filter;
-mod state;
 mod triggers;
 #[cfg(feature = "aravis")]
 mod unpack;
@@ -37,8 +36,7 @@ pub use contract::{Breach, Chunks, FrameContract, FrameForm, ImageForm, Payload}
 pub use features::Features;
 pub use profile::Wishes;
 pub use quiet::quiet_stream;
-pub use settings::{AppliedSetting, SetUp, matches};
-pub use state::{Change, State, differences};
+pub use settings::{AppliedSetting, Change, SetUp, State, differences};
 
 use crate::base::ids::BlockId;
 use crate::config::SocketMode;

@@ -7,11 +7,10 @@ use super::description::{Access, Feature, list, nearest, plain};
 use super::features::{Features, answered, number_of, or_reason, value_of, value_text};
 use super::packet_size;
 use super::profile::{self, Amount, Must, Plan, Want, Wishes, Write};
-use super::settings::{AppliedSetting, SetUp, matches};
-use super::state::{Change, State};
+use super::settings::{AppliedSetting, Change, SetUp, State, differs};
 use super::triggers::{TriggersOn, triggers_on};
 use super::verify::verify;
-use super::write_amount::{self, differs};
+use super::write_amount;
 use crate::config::{FeatureSetting, FeatureValue};
 use std::collections::BTreeMap;
 
@@ -160,7 +159,7 @@ impl Work<'_> {
     fn check_raw(&mut self, setting: &FeatureSetting, again: bool) -> Result<(), CameraError> {
         let camera = self.camera;
         let other = || -> Result<_, CameraError> {
-            Ok(answered(camera.read(&setting.feature))?.filter(|found| !matches(setting, found)))
+            Ok(answered(camera.read(&setting.feature))?.filter(|found| differs(&setting.value, found)))
         };
         let mut found = other()?;
         if again && found.is_some() {
@@ -235,7 +234,7 @@ impl Work<'_> {
                 Ok(()) => {
                     // A write-only feature cannot be read back.
                     let actual = answered(self.camera.read(feature))?.unwrap_or_else(|| value.clone());
-                    if matches(setting, &actual) {
+                    if !differs(value, &actual) {
                         let requested = value.clone();
                         return Ok(Some(AppliedSetting { feature: feature.clone(), requested, actual }));
                     }

@@ -132,7 +132,7 @@ fn option(fd: RawFd, name: libc::c_int) -> Option<libc::c_int> {
 }
 
 fn local_address(fd: RawFd) -> Option<(Ipv4Addr, u16)> {
-    // SAFETY: all zero is a valid `sockaddr_in`: numbers alone.
+    // SAFETY: all zero is a valid `sockaddr_in`, which has numbers only.
     let mut address: libc::sockaddr_in = unsafe { std::mem::zeroed() };
     let mut length = size_of::<libc::sockaddr_in>() as libc::socklen_t;
     // SAFETY: address and length are valid during the call, and the length is the address'.
@@ -157,7 +157,7 @@ fn is_packet_socket_of(fd: RawFd, port: u16) -> bool {
     let mut filter = [libc::sock_filter { code: 0, jt: 0, jf: 0, k: 0 }; INSTRUCTIONS_MAX];
     // Counted in instructions here, and not in bytes.
     let mut count = INSTRUCTIONS_MAX as libc::socklen_t;
-    // SAFETY: the array has room for as many instructions as the count says; both are valid during the call.
+    // SAFETY: the array has room for as many instructions as the count; both are valid during the call.
     let failed = unsafe {
         let into = filter.as_mut_ptr().cast();
         libc::getsockopt(fd, libc::SOL_SOCKET, libc::SO_GET_FILTER, into, &raw mut count)
@@ -193,13 +193,13 @@ mod tests {
     use std::net::{Ipv4Addr, UdpSocket};
     use std::time::Duration;
 
-    fn heard(receiver: &UdpSocket) -> Vec<u8> {
+    fn received(receiver: &UdpSocket) -> Vec<u8> {
         let mut bytes = [0; 16];
         std::iter::from_fn(|| receiver.recv(&mut bytes).ok().map(|length| bytes[..length][0])).collect()
     }
 
     #[test]
-    fn only_the_cameras_port_is_heard() {
+    fn only_the_cameras_port_passes() {
         let bind = |address| UdpSocket::bind((Ipv4Addr::from(address), 0)).expect("an address of this host");
         let (receiver, camera) = (bind([127, 21, 90, 1]), bind([127, 21, 90, 2]));
         receiver.set_read_timeout(Some(Duration::from_millis(100))).expect("a time-out");
@@ -214,16 +214,20 @@ mod tests {
             }
         };
         send();
-        assert_eq!(heard(&receiver), [1, 2, 3], "without a filter everybody is heard");
+        assert_eq!(received(&receiver), [1, 2, 3], "without a filter all senders pass");
         let camera_address = Ipv4Addr::new(127, 21, 90, 2);
         let mut route =
             Route { camera: camera_address, source_port: Some(port(&camera)), stream_port: to.port() };
         restrict(route, false).expect("restricted");
         send();
-        assert_eq!(heard(&receiver), [2]);
+        assert_eq!(received(&receiver), [2]);
         route.source_port = None;
         restrict(route, false).expect("restricted");
         send();
-        assert_eq!(heard(&receiver), [1, 2], "a camera that does not tell its port is known by its address");
+        assert_eq!(
+            received(&receiver),
+            [1, 2],
+            "a camera that does not report its port is known by its address"
+        );
     }
 }

@@ -5,6 +5,7 @@ use super::CameraError;
 use super::description::{Access, Bounds, list};
 use super::features::{Failed, Features, answered, number_of, tick_frequencies};
 use super::profile::{Amount, Scale, Write};
+use super::settings::differs;
 use crate::config::FeatureValue;
 
 /// A value that was written and read back.
@@ -16,18 +17,6 @@ pub struct Done {
     pub actual: FeatureValue,
     /// What the operator should know: that the camera rounded the value.
     pub remark: Option<String>,
-}
-
-/// Whether a camera has another value than the wanted one, across the kinds of numbers.
-pub fn differs(wanted: &FeatureValue, actual: &FeatureValue) -> bool {
-    use FeatureValue::{Flag, Float, Integer};
-    match (wanted, actual) {
-        (Flag(a), Integer(b)) => i64::from(*a) != *b,
-        (Float(a), Integer(b)) | (Integer(b), Float(a)) => (a - *b as f64).abs() > 0.5,
-        // Cameras quantize floats, so the same setting may be read back slightly different.
-        (Float(a), Float(b)) => (a - b).abs() > 1e-3 * a.abs().max(1.0),
-        (a, b) => a != b,
-    }
 }
 
 /// Writes a value and reads it back.
@@ -169,7 +158,7 @@ fn near(camera: &dyn Features, write: &Write, number: Number, bounds: Bounds) ->
     Ok(Done { requested: value, actual, remark })
 }
 
-/// How a scale converts numbers for this camera; the inner error says what the camera does not state.
+/// How a scale converts numbers for this camera; the inner error names what the camera does not state.
 fn per_unit(
     camera: &dyn Features,
     scale: &Scale,

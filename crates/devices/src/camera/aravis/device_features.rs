@@ -2,13 +2,13 @@
 //! Features and registers of a camera that Aravis has opened.
 
 use super::registers::holder;
-use super::{AravisCamera, checked, said};
+use super::{AravisCamera, checked, message_of};
 use crate::camera::CameraError;
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
 use crate::camera::features::{Failed, Features};
 use crate::config::FeatureValue;
 use aravis::prelude::*;
-use glib::prelude::{Cast, IsA, ObjectExt};
+use glib::prelude::{Cast, ObjectExt};
 use std::collections::BTreeSet;
 
 /// Most features that are listed; no camera has as many.
@@ -33,7 +33,7 @@ fn is_refusal(error: &glib::Error) -> bool {
 impl AravisCamera {
     /// The meaning of an error while reading.
     fn failed(&self, error: &glib::Error) -> Failed {
-        let detail = said(error);
+        let detail = message_of(error);
         if is_silence(error) {
             Failed::Lost(CameraError::Link { doing: "reading its features", detail })
         } else if is_refusal(error) {
@@ -45,7 +45,7 @@ impl AravisCamera {
 
     /// The meaning of an error while writing: a denied access may be a locked feature, which is no loss of control.
     pub(super) fn not_set(&self, error: &glib::Error) -> Failed {
-        let detail = said(error);
+        let detail = message_of(error);
         if is_silence(error) {
             return Failed::Lost(CameraError::Link { doing: "setting its features", detail });
         }
@@ -66,6 +66,21 @@ impl AravisCamera {
             return Ok(Err(format!("{value}, which none of its entries has")));
         };
         Ok(Ok(text))
+    }
+
+    /// Collects the names of the features below a category, each once.
+    fn walk(&self, category: &str, seen: &mut BTreeSet<String>, names: &mut Vec<String>) {
+        let node = |name: &str| self.device.feature(name)?.downcast::<aravis::GcCategory>().ok();
+        let Some(category) = node(category) else { return };
+        for name in checked::features_of(&category) {
+            if names.len() >= FEATURES_MAX || !seen.insert(name.clone()) {
+                continue;
+            }
+            match node(&name) {
+                Some(_) => self.walk(&name, seen, names),
+                None => names.push(name),
+            }
+        }
     }
 
     fn node(&self, feature: &str) -> Option<aravis::GcFeatureNode> {
@@ -100,27 +115,8 @@ fn entries_of(node: &aravis::GcFeatureNode) -> Vec<String> {
 
 impl Description for AravisCamera {
     fn names(&self) -> Vec<String> {
-        fn walk<T: IsA<aravis::Device>>(
-            device: &T,
-            category: &str,
-            seen: &mut BTreeSet<String>,
-            names: &mut Vec<String>,
-        ) {
-            let Some(node) = device.feature(category) else { return };
-            let Ok(node) = node.downcast::<aravis::GcCategory>() else { return };
-            for name in checked::features_of(&node) {
-                if names.len() >= FEATURES_MAX || !seen.insert(name.clone()) {
-                    continue;
-                }
-                let is_category = device.feature(&name).is_some_and(|node| node.is::<aravis::GcCategory>());
-                match is_category {
-                    true => walk(device, &name, seen, names),
-                    false => names.push(name),
-                }
-            }
-        }
         let mut names = Vec::new();
-        walk(&self.device, "Root", &mut BTreeSet::new(), &mut names);
+        self.walk("Root", &mut BTreeSet::new(), &mut names);
         names
     }
 
@@ -137,8 +133,6 @@ impl Description for AravisCamera {
                 _ => Access::ReadWrite,
             },
             unit: checked::unit_of(&node).filter(|unit| !unit.is_empty()),
-            // Bounds may depend on other features, so they are read when a feature is written.
-            bounds: Bounds::default(),
             entries: entries_of(&node),
         })
     }
@@ -194,27 +188,22 @@ impl Features for AravisCamera {
     }
 
     fn bounds_now(&self, feature: &str) -> Bounds {
-        match self.kind(feature) {
+        let device = &self.device;
+        let (limits, step) = match self.kind(feature) {
             Ok(Kind::Float) => {
-                let limits = checked::float_bounds(&self.device, feature).ok();
                 let finite = |limit: f64| (limit.abs() < UNBOUNDED).then_some(limit);
-                Bounds {
-                    min: limits.and_then(|(min, _)| finite(min)),
-                    max: limits.and_then(|(_, max)| finite(max)),
-                    step: self.device.float_feature_increment(feature).ok().filter(|step| *step > NO_STEP),
-                }
+                let step = device.float_feature_increment(feature).ok().filter(|step| *step > NO_STEP);
+                (checked::float_bounds(device, feature).map(|(min, max)| (finite(min), finite(max))), step)
             }
             Ok(Kind::Integer) => {
-                let limits = checked::integer_bounds(&self.device, feature).ok();
                 let stated = |limit: i64| (limit != i64::MIN && limit != i64::MAX).then_some(limit as f64);
-                Bounds {
-                    min: limits.and_then(|(min, _)| stated(min)),
-                    max: limits.and_then(|(_, max)| stated(max)),
-                    step: self.device.integer_feature_increment(feature).ok().map(|step| step as f64),
-                }
+                let step = device.integer_feature_increment(feature).ok().map(|step| step as f64);
+                (checked::integer_bounds(device, feature).map(|(min, max)| (stated(min), stated(max))), step)
             }
-            _ => Bounds::default(),
-        }
+            _ => return Bounds::default(),
+        };
+        let (min, max) = limits.unwrap_or_default();
+        Bounds { min, max, step }
     }
 
     fn integer(&self, feature: &str) -> Result<i64, Failed> {

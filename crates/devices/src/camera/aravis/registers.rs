@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bootstrap registers of a GigE Vision camera: its address, its controller, and the channel of its stream.
 
-use super::{AravisCamera, checked, link_error, said};
+use super::{AravisCamera, checked, link_error, message_of};
 use crate::camera::CameraError;
 use crate::camera::source_filter::{self, Route};
 use crate::config::SocketMode;
@@ -46,7 +46,7 @@ impl AravisCamera {
     pub(super) fn close_stream_channel(&self) {
         let Some(gv) = self.device.downcast_ref::<aravis::GvDevice>() else { return };
         if let Err(error) = gv.write_register(HOST_PORT, 0) {
-            tracing::debug!("the stream channel stays open: {}", said(&error));
+            tracing::debug!("the stream channel stays open: {}", message_of(&error));
         }
     }
 

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Gain: decibels, a factor, or steps of a size that the camera does not state.
 
-use super::{
-    Amount, Plan, Scale, Trouble, Wishes, Write, check_bounds, first_writable, none_of, writable_number,
-};
+use super::{Amount, Plan, Scale, Trouble, Wishes, Write, first_writable, none_of, writable_number};
 use crate::camera::description::{Description, Feature, Kind, plain};
 
 const WORD: &str = "gain_db";
@@ -72,7 +70,6 @@ fn gain(camera: &dyn Description, wanted_db: f64) -> Result<Option<(&'static str
     if let Some((name, feature, unit)) = GAINS.iter().filter_map(with_unit).find(is_float) {
         match unit.as_str() {
             "db" | "decibel" | "decibels" => {
-                check_bounds(name, &feature, wanted_db, &format!("; change {WORD}"))?;
                 return Ok(Some((name, near(wanted_db, Scale::Times(1.0)))));
             }
             "" | "x" | "times" | "factor" if feature.unit.as_deref() != Some("%") => {

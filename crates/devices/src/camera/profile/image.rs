@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Pixel form and size of the images.
 
-use super::{Amount, Plan, Trouble, Wishes, Write, check_bounds, first_writable, is_fixed, writable_number};
+use super::{Amount, Plan, Trouble, Wishes, Write, first_writable, writable_number};
 use crate::camera::description::Description;
 use crate::config::{FeatureValue, Mosaic, Pixel};
 
@@ -60,7 +60,7 @@ fn pixel_format(camera: &dyn Description, wishes: &Wishes) -> Result<((String, P
     if !fits(&chosen) {
         return Err(Trouble::new(NAME, uneven_rows(chosen, wishes.size.0)));
     }
-    if !is_fixed(&feature) {
+    if feature.is_writable() {
         let writes = vec![Write::entry(NAME, &entry, "pixel")];
         return Ok(((entry, chosen), writes));
     }
@@ -97,22 +97,8 @@ fn length(
         return Err(Trouble::new(name, format!("the camera has no {name}: expected one of {size}")));
     };
     // A size that cannot be set is checked when all is set.
-    if is_fixed(&feature) {
+    if !feature.is_writable() {
         return Ok(None);
-    }
-    check_bounds(name, &feature, size as f64, ": the rig file has this size for it")?;
-    if let (Some(step), Some(min)) = (feature.bounds.step, feature.bounds.min) {
-        let over = (size as f64 - min) % step;
-        let below = size as f64 - over;
-        if step > 1.0 && over != 0.0 {
-            return Err(Trouble::new(
-                name,
-                format!(
-                    "{name} goes in steps of {step} from {min}, and {size} is none of them: set {below} or {} in the rig file",
-                    below + step
-                ),
-            ));
-        }
     }
     Ok(Some(Write::new(name, Amount::Value(FeatureValue::Integer(size as i64)), word)))
 }

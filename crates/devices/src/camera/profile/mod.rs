@@ -15,7 +15,7 @@ pub use image::uneven_rows;
 pub use must::{Must, Want, all as must_be};
 pub use trigger::{FRAME_TRIGGERS, frame_trigger, starts_a_frame, trigger_lines};
 
-use super::description::{Access, Description, Feature, list, nearest};
+use super::description::{Description, Feature, list, nearest};
 use crate::config::{
     ActionConfig, CameraConfig, CameraWords, Channel, FeatureSetting, FeatureValue, NodeConfig, Pixel,
 };
@@ -255,20 +255,6 @@ fn none_of(camera: &dyn Description, names: &[&str], what: &str, word: &str) -> 
             names.join(", ")
         ),
     )
-}
-
-/// Refuses a number outside the bounds of the description. `remedy` ends the message.
-fn check_bounds(name: &str, feature: &Feature, number: f64, remedy: &str) -> Result<(), Trouble> {
-    let bounds = feature.bounds;
-    match bounds.exclude(number) {
-        false => Ok(()),
-        true => Err(Trouble::new(name, format!("{name} takes {bounds}, requested {number}{remedy}"))),
-    }
-}
-
-/// Whether a feature can only be read.
-fn is_fixed(feature: &Feature) -> bool {
-    feature.access == Access::Read
 }
 
 #[cfg(test)]

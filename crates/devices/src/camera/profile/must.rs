@@ -156,8 +156,6 @@ fn off(feature: &Feature) -> Option<Want> {
         Kind::Enumeration => {
             feature.entry(&["Off", "Disabled", "Disable", "False", "None", "Manual"]).map(text)
         }
-        // Before SFNC a switch may be a number.
-        Kind::Integer if feature.bounds.max == Some(1.0) => Some(Want::Value(FeatureValue::Integer(0))),
         _ => None,
     }
 }

@@ -2,7 +2,7 @@
 //! Each rule, with descriptions made up for it.
 
 use super::{Amount, Link, Plan, Scale, Want, Wishes, must_be, resolve};
-use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
+use crate::camera::description::{Access, Description, Feature, Kind};
 use crate::config::{AUTO, ActionConfig, CameraWords, Channel, Edge, Mosaic, PacketDelay, Pixel};
 use std::collections::BTreeMap;
 
@@ -39,7 +39,7 @@ pub(crate) fn made(text: &str) -> Made {
         };
         let entries = entries.split(',').filter(|entry| !entry.is_empty()).map(str::to_owned).collect();
         let unit = head.next().map(str::to_owned);
-        (name, Feature { kind, access, unit, bounds: Bounds::default(), entries })
+        (name, Feature { kind, access, unit, entries })
     };
     Made(text.split_whitespace().map(feature).collect())
 }
@@ -356,14 +356,6 @@ fn images_that_are_not_grey_or_do_not_fit_are_refused_by_name() {
     let old = "PixelFormat=Mono8,Mono12Packed!ro PixelCoding=Mono,MonoPacked PixelSize=Bpp8,Bpp12";
     let plan = resolve(&usual(&[("PixelFormat", old)]), &fixed(Pixel::Mono12Packed));
     assert!(short(&plan).starts_with("PixelCoding=MonoPacked PixelSize=Bpp12"), "{}", short(&plan));
-    let mut narrow = usual(&[]);
-    let width = narrow.0.get_mut("Width").expect("there");
-    width.bounds = Bounds { min: Some(16.0), max: Some(1280.0), step: Some(16.0) };
-    assert!(trouble(&narrow, &wishes()).contains("Width takes 16 to 1280, requested 1920"));
-    narrow.0.get_mut("Width").expect("there").bounds.max = Some(4096.0);
-    let mut wishes = wishes();
-    wishes.size.0 = 1928;
-    assert!(trouble(&narrow, &wishes).contains("set 1920 or 1936"));
 }
 
 /// 8 bits where the camera has them, whatever else it has; else the fewest bytes whose rows end with one.

@@ -1,9 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Exposure, and the time between two packets.
 
-use super::{
-    Amount, Plan, Scale, Trouble, Wishes, Write, check_bounds, first_writable, none_of, writable_number,
-};
+use super::{Amount, Plan, Scale, Trouble, Wishes, Write, first_writable, none_of, writable_number};
 use crate::camera::description::{Description, plain};
 use crate::config::PacketDelay;
 use crate::network::wire;
@@ -72,8 +70,7 @@ fn exposure_write(camera: &dyn Description, wishes: &Wishes) -> Result<Write, Tr
     let in_a_unit = |name: &&'static str| time(name).filter(|(_, _, feature)| feature.unit.is_some());
     let found =
         EXPOSURES.iter().find_map(time).or_else(|| IN_A_UNIT.iter().chain([&RAW]).find_map(in_a_unit));
-    if let Some((name, scale, feature)) = found {
-        check_bounds(name, &feature, wanted * scale, &format!("; change {WORD}"))?;
+    if let Some((name, scale, _)) = found {
         return Ok(near(name, Scale::Times(scale)));
     }
     if writable_number(camera, RAW).is_none() {

@@ -2,7 +2,7 @@
 //! The trigger: one that starts a frame, by the HSU's line or by action commands, and no other.
 
 use super::action;
-use super::{Amount, Plan, Trouble, Wishes, Write, first_writable, is_fixed};
+use super::{Amount, Plan, Trouble, Wishes, Write, first_writable};
 use crate::camera::description::{Description, Feature, list, nearest, plain};
 use crate::config::{AUTO, Edge, FeatureValue};
 
@@ -62,7 +62,7 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
             "{SELECTOR} has {frame} alone: whether one edge takes one frame, and not a row of them, shows in the warm-up"
         ));
     }
-    let selector = camera.feature(SELECTOR).filter(|selector| !is_fixed(selector));
+    let selector = camera.feature(SELECTOR).filter(|selector| selector.is_writable());
     if let (Some(selector), Some(frame)) = (&selector, &frame) {
         // Every other trigger is switched off. An entry that cannot be selected now is no trigger.
         for other in selector.entries.iter().filter(|other| *other != frame) {

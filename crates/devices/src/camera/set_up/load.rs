@@ -7,7 +7,7 @@ use crate::camera::CameraError;
 use crate::camera::description::list;
 use crate::camera::features::{Features, answered, or_reason};
 use crate::camera::profile::{self, Amount, Wishes};
-use crate::camera::state::State;
+use crate::camera::settings::State;
 use crate::config::FeatureValue;
 use std::time::{Duration, Instant};
 

@@ -42,12 +42,9 @@ pub(super) fn start(setup: &ActionSetup) -> io::Result<(PipeReader, PipeWriter)>
 }
 
 fn identity() -> Identity {
-    let number = |text: &str| text.parse().unwrap_or(0);
-    let firmware = [
-        number(env!("CARGO_PKG_VERSION_MAJOR")),
-        number(env!("CARGO_PKG_VERSION_MINOR")),
-        number(env!("CARGO_PKG_VERSION_PATCH")),
-    ];
+    let version =
+        [env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR"), env!("CARGO_PKG_VERSION_PATCH")];
+    let firmware = version.map(|number| number.parse().unwrap_or(0));
     Identity { name: NodeName::new(PRODUCT).unwrap_or(NodeName::NONE), unique_id: ACTION_UNIT, firmware }
 }
 
