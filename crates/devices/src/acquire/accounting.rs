@@ -3,9 +3,10 @@
 
 use super::assembler::Assembler;
 use super::breaches::{Breaches, gap_cause};
+use super::commands::{LaneSetup, RecorderCommand, RecorderEvent, RecorderOptions, TICK};
 use super::pause::Pauses;
+use super::progress::Progress;
 use super::receiver::Arrival;
-use super::recorder::{LaneSetup, Progress, RecorderCommand, RecorderEvent, RecorderOptions, TICK};
 use super::writer_queue::{ReadyFrame, Ring, ToWriter};
 use crate::base::clock_fit::{ClockFit, Exchange, Judged};
 use crate::base::ids::{CameraId, TriggerIndex};

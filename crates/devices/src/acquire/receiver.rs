@@ -3,7 +3,7 @@
 //!
 //! The checksum is computed here, so that it covers the way through the recorder and is spread over cores.
 
-use super::recorder::Progress;
+use super::progress::Progress;
 use crate::base::ids::BlockId;
 use crate::base::time::HostClock;
 use crate::camera::{FrameStream, Transfer};

@@ -4,9 +4,10 @@
 //! Frames are admitted set by set: a set that does not fit as a whole is not admitted. Small records (triggers,
 //! gaps, clock samples, events) have room of their own, so that what explains a full ring still gets through.
 
+use super::commands::RecorderEvent;
 use super::hold::{Hold, Passed};
 use super::preview::Taps;
-use super::recorder::Progress;
+use super::progress::Progress;
 use crate::base::ids::TriggerIndex;
 use crate::base::{Exit, Fault};
 use crate::host::frame_memory::Block;
@@ -18,8 +19,6 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-
-use super::recorder::RecorderEvent;
 
 /// Room for small records beside the frames: several minutes of them at 120 Hz.
 const SMALL_RECORDS: usize = 65_536;

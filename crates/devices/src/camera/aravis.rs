@@ -11,17 +11,18 @@
 //! * Without a tick frequency frames get the host's time as timestamp: such a timestamp is ignored.
 
 use self::registers::holder;
+use super::backend::{
+    Camera, CameraBackend, CameraClockSample, CameraIdentity, CameraListing, FrameStream, PacketTest,
+    Received, StreamOptions, Transfer,
+};
 use super::canary::Canaries;
 use super::chunks::first_chunk;
 use super::contract::{Breach, Chunks, FrameContract, FrameForm, Payload};
 use super::device_clock::{self, DeviceClock};
+use super::error::CameraError;
 use super::features::{Failed, Features, or_reason};
 use super::packet_size;
 use super::unpack::{take_plane, unpack};
-use super::{
-    Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, FrameStream,
-    PacketTest, Received, StreamOptions, Transfer,
-};
 use crate::base::ids::{BlockId, one_line};
 use crate::config::SocketMode;
 use crate::host::frame_memory::Block;

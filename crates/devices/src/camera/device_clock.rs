@@ -4,8 +4,9 @@
 //! A feature's name does not give its unit, and a tick frequency may be 0, wrong or absent. So a way to read the clock is
 //! used only when it keeps time with the host's clock; none is guessed.
 
+use super::backend::CameraClockSample;
+use super::error::CameraError;
 use super::features::{Failed, Features, answered, halves, or_reason, tick_frequencies, wide};
-use super::{CameraClockSample, CameraError};
 use crate::base::time::monotonic_ns;
 use std::time::{Duration, Instant};
 

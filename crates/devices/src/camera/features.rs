@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Features and registers of an opened camera, independent of the library that reaches it.
 
-use super::CameraError;
 use super::description::{Access, Bounds, Description, Kind};
+use super::error::CameraError;
 use super::settings::State;
 use crate::config::FeatureValue;
 

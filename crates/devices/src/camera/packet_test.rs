@@ -5,7 +5,8 @@
 //! description's largest packet: a camera that sends more than it describes ends the process (0.8.26). So the search is here,
 //! and receives into memory that holds any datagram.
 
-use super::{CameraError, PacketTest};
+use super::backend::PacketTest;
+use super::error::CameraError;
 use std::time::Duration;
 
 /// Longest wait for the first packets: some cameras send them from a slow loop.

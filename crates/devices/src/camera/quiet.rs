@@ -9,7 +9,8 @@
 //! Where others send without a pause, no packet socket is ever quiet. A UDP socket receives only what is sent to its own
 //! port, and is used then, at the cost of more processor time.
 
-use super::{Camera, CameraError, FrameStream, StreamOptions};
+use super::backend::{Camera, FrameStream, StreamOptions};
+use super::error::CameraError;
 use crate::config::SocketMode;
 use crate::host::frame_memory::Block;
 use std::io;

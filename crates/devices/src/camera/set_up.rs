@@ -2,8 +2,8 @@
 //! Brings a camera into a known state, sets it as the node file requests, and checks that it then sends what a session
 //! records. All problems are reported, not only the first.
 
-use super::CameraError;
 use super::description::{Access, Feature, list, nearest, plain};
+use super::error::CameraError;
 use super::features::{Features, answered, number_of, or_reason, value_of, value_text};
 use super::packet_size;
 use super::profile::{self, Amount, Must, Plan, Want, Wishes, Write};

@@ -2,8 +2,8 @@
 //! Which triggers of a camera are on. Either each trigger has its own mode behind the selector, or the camera has one mode,
 //! which then applies to the selected trigger.
 
-use super::CameraError;
 use super::description::plain;
+use super::error::CameraError;
 use super::features::{Features, answered, or_reason};
 use super::profile::FRAME_TRIGGERS;
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Verifies by a camera's features that it sends what a session records, independent of the node file.
 
-use super::CameraError;
 use super::contract::FrameContract;
+use super::error::CameraError;
 use super::features::{Failed, Features, answered, value_of};
 use super::profile::{FRAME_TRIGGERS, Wishes, starts_a_frame, uneven_rows};
 use super::triggers::TriggersOn;

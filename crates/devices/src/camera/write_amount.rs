@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Writes one value as near to the wanted one as the camera can take, and reads it back.
 
-use super::CameraError;
 use super::description::{Access, Bounds, list};
+use super::error::CameraError;
 use super::features::{Failed, Features, answered, number_of, tick_frequencies};
 use super::profile::{Amount, Scale, Write};
 use super::settings::differs;

@@ -4,8 +4,7 @@
 
 use super::error::HsuError;
 use super::event::{Feed, HsuEvent, LinkLoss};
-use super::link::{Link, Patience};
-use super::unit::HsuTimeouts;
+use super::link::{HsuTimeouts, Link, Patience};
 use crossbeam_channel::{Receiver, RecvTimeoutError};
 use hsu_firmware_proto::{
     Hello, MAX_RECORDS, Refusal, Request, SessionId, TriggerRecord, UnitToHost, Welcome, version,
@@ -14,8 +13,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// The product names of an HSU of this project, and of the action commands in its place.
-const PRODUCTS: [&str; 2] = ["fourdbody-hsu", super::action::PRODUCT];
+/// Product name of the unit that takes the HSU's place where action commands are the triggers.
+pub(super) const ACTION_PRODUCT: &str = "fourdbody-action";
+/// The product names of an HSU of this project, and of the unit in its place.
+const PRODUCTS: [&str; 2] = ["fourdbody-hsu", ACTION_PRODUCT];
 
 /// The link and the event stream, shared by the commands and the keeper thread.
 #[derive(Debug)]

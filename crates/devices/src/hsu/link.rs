@@ -29,6 +29,22 @@ pub struct Patience {
     pub attempts: u32,
 }
 
+/// Timeouts of the host towards the unit.
+#[derive(Debug, Clone, Copy)]
+pub struct HsuTimeouts {
+    /// Longest wait for an answer, and the number of attempts.
+    pub patience: Patience,
+    /// Time between two heartbeats to the unit; well below [`HsuTiming::host_silence`](super::HsuTiming::host_silence).
+    pub heartbeat: Duration,
+}
+
+impl Default for HsuTimeouts {
+    fn default() -> Self {
+        let patience = Patience { answer: Duration::from_millis(250), attempts: 4 };
+        Self { patience, heartbeat: Duration::from_millis(400) }
+    }
+}
+
 /// An answer with the times before and after it.
 #[derive(Debug, Clone, Copy)]
 pub struct Answer {

@@ -4,8 +4,8 @@
 
 use super::Refusal;
 use super::error::HsuError;
-use super::link::{Link, Patience};
-use super::unit::{Hsu, HsuTimeouts};
+use super::link::{HsuTimeouts, Link, Patience};
+use super::unit::Hsu;
 use crate::base::ids::NodeId;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, unbounded};
 use hsu_firmware_proto::frame::{self, Decoder};

@@ -3,7 +3,8 @@
 
 use super::action::ActionSetup;
 use super::error::HsuError;
-use super::unit::{Hsu, HsuTimeouts};
+use super::link::HsuTimeouts;
+use super::unit::Hsu;
 use crate::base::ids::NodeId;
 use crate::config::{NodeConfig, TriggerSource};
 use std::path::PathBuf;

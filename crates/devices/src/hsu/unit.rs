@@ -4,7 +4,7 @@
 use super::conversation::Conversation;
 use super::error::HsuError;
 use super::event::{Feed, HsuEvent};
-use super::link::{Answer, Link, Patience};
+use super::link::{Answer, HsuTimeouts, Link, Patience};
 use super::timing::{ArmRequest, HsuTiming, node_name};
 use crate::base::ids::NodeId;
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -25,22 +25,6 @@ const BAUD: u32 = 921_600;
 const READ_PAUSE: Duration = Duration::from_millis(20);
 /// Time between two requests for the status in [`Hsu::wait_armed`].
 const POLL: Duration = Duration::from_millis(20);
-
-/// Timeouts of the host towards the unit.
-#[derive(Debug, Clone, Copy)]
-pub struct HsuTimeouts {
-    /// Longest wait for an answer, and the number of attempts.
-    pub patience: Patience,
-    /// Time between two heartbeats to the unit; well below [`HsuTiming::host_silence`].
-    pub heartbeat: Duration,
-}
-
-impl Default for HsuTimeouts {
-    fn default() -> Self {
-        let patience = Patience { answer: Duration::from_millis(250), attempts: 4 };
-        Self { patience, heartbeat: Duration::from_millis(400) }
-    }
-}
 
 /// One reading of the unit's clock, which showed `time_ns` at some moment between the two instants.
 #[derive(Debug, Clone, Copy)]

@@ -3,8 +3,8 @@
 //! known after the warm-up.
 
 use super::Accounting;
+use crate::acquire::commands::RecorderEvent;
 use crate::acquire::receiver::Arrival;
-use crate::acquire::recorder::RecorderEvent;
 use std::collections::VecDeque;
 use std::sync::atomic::Ordering;
 use std::time::Duration;

@@ -3,8 +3,8 @@
 
 use super::registers::holder;
 use super::{AravisCamera, checked, message_of};
-use crate::camera::CameraError;
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
+use crate::camera::error::CameraError;
 use crate::camera::features::{Failed, Features};
 use crate::config::FeatureValue;
 use aravis::prelude::*;

@@ -2,7 +2,7 @@
 //! The bootstrap registers of a GigE Vision camera: its address, its controller, and the channel of its stream.
 
 use super::{AravisCamera, checked, link_error, message_of};
-use crate::camera::CameraError;
+use crate::camera::error::CameraError;
 use crate::camera::source_filter::{self, Route};
 use crate::config::SocketMode;
 use aravis::prelude::*;

@@ -4,10 +4,11 @@
 use super::device_features::is_silence;
 use super::registers::{DESTINATION, HOST_PORT, OWN_ADDRESS, PACKET_SIZE};
 use super::{AravisCamera, checked, link_error};
+use crate::camera::backend::PacketTest;
+use crate::camera::error::CameraError;
 use crate::camera::features::{Features as _, answered};
 use crate::camera::packet_size::FEATURE;
 use crate::camera::packet_test::{self, LARGEST, PATIENCE, Sizes, Tried};
-use crate::camera::{CameraError, PacketTest};
 use crate::network::{GVCP_PORT, receive_until};
 use aravis::prelude::*;
 use std::io;

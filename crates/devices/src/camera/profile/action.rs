@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The trigger as an action command: the source, the keys, and the clock that all cameras share.
 
-use super::{Amount, Plan, Trouble, Write, first_writable};
+use super::plan::{Amount, Plan, Trouble, Write, first_writable};
 use crate::camera::description::{Description, Feature, list, nearest, plain};
 use crate::config::{ActionConfig, FeatureValue};
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Gain: decibels, a factor, or steps of a size that the camera does not state.
 
-use super::{Amount, Plan, Scale, Trouble, Wishes, Write, first_writable, none_of, writable_number};
+use super::plan::{Amount, Plan, Scale, Trouble, Wishes, Write, first_writable, none_of, writable_number};
 use crate::camera::description::{Description, Feature, Kind, plain};
 
 const WORD: &str = "gain_db";

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Pixel form and size of the images.
 
-use super::{Amount, Plan, Trouble, Wishes, Write, first_writable, writable_number};
+use super::plan::{Amount, Plan, Trouble, Wishes, Write, first_writable, writable_number};
 use crate::camera::description::Description;
 use crate::config::{FeatureValue, Mosaic, Pixel};
 

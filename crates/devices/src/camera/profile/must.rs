@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Requirements on every camera, independent of the last user: automatic functions, corrections and image processing off.
 
+use super::plan::{Trouble, Wishes};
 use super::trigger::is_delay;
-use super::{Trouble, Wishes};
 use crate::camera::description::{Description, Feature, Kind, plain};
 use crate::config::FeatureValue;
 
@@ -187,7 +187,7 @@ fn rule(
     let own = VENDORS.iter().find_map(|vendor| whole.strip_prefix(vendor)).unwrap_or(&whole);
     let is_among = |names: &[&str]| names.iter().any(|other| *other == whole || *other == own);
     // Actions are scheduled on the clock that PTP gives all cameras.
-    if wishes.action.is_some_and(|action| action.ptp) && super::PTP_SWITCHES.contains(&name) {
+    if wishes.action.is_some_and(|action| action.ptp) && super::action::PTP_SWITCHES.contains(&name) {
         return Ok(None);
     }
     let switch = SWITCHED_OFF.iter().find(|(other, _)| is_among(&[other]));

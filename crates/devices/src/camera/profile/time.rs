@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Exposure, and the time between two packets.
 
-use super::{Amount, Plan, Scale, Trouble, Wishes, Write, first_writable, none_of, writable_number};
+use super::plan::{Amount, Plan, Scale, Trouble, Wishes, Write, first_writable, none_of, writable_number};
 use crate::camera::description::{Description, plain};
 use crate::config::PacketDelay;
 use crate::network::wire;

@@ -2,7 +2,7 @@
 //! The trigger: one that starts a frame, by the HSU's line or by action commands, and no other.
 
 use super::action;
-use super::{Amount, Plan, Trouble, Wishes, Write, first_writable};
+use super::plan::{Amount, Plan, Trouble, Wishes, Write, first_writable};
 use crate::camera::description::{Description, Feature, list, nearest, plain};
 use crate::config::{AUTO, Edge, FeatureValue};
 

@@ -3,8 +3,8 @@
 //! the load: the command register of some keeps the number of the user set for ever.
 
 use super::values_of;
-use crate::camera::CameraError;
 use crate::camera::description::list;
+use crate::camera::error::CameraError;
 use crate::camera::features::{Features, answered, or_reason};
 use crate::camera::profile::{self, Amount, Wishes};
 use crate::camera::settings::State;

@@ -2,8 +2,8 @@
 //! A camera in memory, with features, values, locks and habits, set up as a node file requests.
 
 use super::{SetUp, changed, set_up};
-use crate::camera::CameraError;
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
+use crate::camera::error::CameraError;
 use crate::camera::features::{Failed, Features};
 use crate::camera::profile::Wishes;
 use crate::camera::profile::tests::{Made, made, wishes};

@@ -5,10 +5,12 @@
 //! runs ahead by that time, and its reports are held back until the trigger's time has come. So no trigger is reported
 //! before it is fired.
 
+use super::ActionSetup;
 use super::pipe::{PipeReader, PipeWriter, pipe};
-use super::{ActionSetup, PRODUCT, request_id};
+use super::tally::request_id;
 use crate::base::time::monotonic_ns;
 use crate::host::realtime;
+use crate::hsu::conversation::ACTION_PRODUCT;
 use crate::network::{GVCP_PORT, action, action_reply};
 use crate::record::ACTION_UNIT;
 use hsu_firmware_proto::frame::{self, Decoder};
@@ -45,7 +47,11 @@ fn identity() -> Identity {
     let version =
         [env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR"), env!("CARGO_PKG_VERSION_PATCH")];
     let firmware = version.map(|number| number.parse().unwrap_or(0));
-    Identity { name: NodeName::new(PRODUCT).unwrap_or(NodeName::NONE), unique_id: ACTION_UNIT, firmware }
+    Identity {
+        name: NodeName::new(ACTION_PRODUCT).unwrap_or(NodeName::NONE),
+        unique_id: ACTION_UNIT,
+        firmware,
+    }
 }
 
 struct Engine {

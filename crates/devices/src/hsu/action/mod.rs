@@ -17,15 +17,13 @@ pub use ptp_clock::PtpClock;
 pub use tally::ActionTally;
 
 use super::error::HsuError;
-use super::unit::{Hsu, HsuTimeouts};
+use super::link::HsuTimeouts;
+use super::unit::Hsu;
 use crate::base::ids::{CameraId, NodeId};
 use crate::config::{ActionConfig, NodeConfig};
 use crate::network::ActionKeys;
 use std::net::Ipv4Addr;
 use std::time::Duration;
-
-/// Product name of the unit that takes the HSU's place.
-pub const PRODUCT: &str = "fourdbody-action";
 
 /// Longest time by which scheduled actions are sent ahead.
 const LEAD_MOST: Duration = Duration::from_millis(10);
@@ -69,12 +67,6 @@ impl ActionSetup {
             .map_err(|error| HsuError::Io { device: device.clone(), cause: error.to_string() })?;
         Hsu::over(reader, writer, device, role, timeouts)
     }
-}
-
-/// The command id for a trigger: ids count the triggers, and 0 is not used.
-pub fn request_id(number: i64) -> u16 {
-    // The remainder is below 65535, so that one more fits into 16 bits.
-    u16::try_from(number.rem_euclid(i64::from(u16::MAX))).unwrap_or(0) + 1
 }
 
 #[cfg(test)]

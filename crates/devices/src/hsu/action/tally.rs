@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Counts of the action commands by camera: each is sent once, and acknowledged at most once.
 
-use super::request_id;
 use super::untimely::Untimely;
 use crate::base::ids::CameraId;
 use crate::base::time::monotonic_ns;
@@ -11,6 +10,12 @@ use std::collections::VecDeque;
 use std::net::Ipv4Addr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
+
+/// The command id for a trigger: ids count the triggers, and 0 is not used.
+pub(super) fn request_id(number: i64) -> u16 {
+    // The remainder is below 65535, so that one more fits into 16 bits.
+    u16::try_from(number.rem_euclid(i64::from(u16::MAX))).unwrap_or(0) + 1
+}
 
 /// Most commands per camera whose answer may still come.
 const OUTSTANDING: usize = 256;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The unit in the process, with a socket for a camera: each trigger is one command, reported when its time has come.
 
-use super::{ActionSetup, ActionTally, PtpClock, request_id};
+use super::tally::request_id;
+use super::{ActionSetup, ActionTally, PtpClock};
 use crate::base::clock_fit::Exchange;
 use crate::base::ids::{CameraId, NodeId};
 use crate::base::time::monotonic_ns;
