@@ -83,7 +83,7 @@ impl Sink for Recording {
 /// The bounded queue to the writer's thread, as the matching thread owns it. It promises that frame sets enter whole or not
 /// at all. It ends with [`Ring::close`], which waits for the writer's thread.
 pub(super) struct Ring {
-    items: Option<Sender<ToWriter>>,
+    items: Sender<ToWriter>,
     /// The frames that wait for Record; `None` where the recording begins with the train.
     hold: Option<Hold>,
     /// Samples of the frames, for previews and the live body.
@@ -95,7 +95,7 @@ pub(super) struct Ring {
     passed_on: usize,
     /// Small records that found no room; missing gaps are accounted for at the end.
     pub(super) refused: u64,
-    writer: Option<JoinHandle<()>>,
+    writer: JoinHandle<()>,
 }
 
 impl Ring {
@@ -117,14 +117,14 @@ impl Ring {
             writer.run()
         })?;
         Ok(Self {
-            items: Some(items),
+            items,
             hold,
             taps,
             progress,
             capacity: capacity + held,
             passed_on: capacity,
             refused: 0,
-            writer: Some(thread),
+            writer: thread,
         })
     }
 
@@ -189,7 +189,7 @@ impl Ring {
 
     /// Passes held items on while the writer keeps up.
     pub(super) fn go_on(&mut self) {
-        while self.items.as_ref().is_some_and(|items| items.len() < self.passed_on)
+        while self.items.len() < self.passed_on
             && let Some(item) = self.hold.as_mut().and_then(Hold::next)
         {
             self.send(item);
@@ -205,9 +205,7 @@ impl Ring {
 
     fn send(&mut self, item: ToWriter) {
         self.count(&item);
-        if let Some(items) = &self.items
-            && let Err(error) = items.try_send(item)
-        {
+        if let Err(error) = self.items.try_send(item) {
             self.refused += 1;
             if let ToWriter::Frame(_) = error.into_inner() {
                 self.progress.ring.fetch_sub(1, Ordering::Relaxed);
@@ -217,21 +215,21 @@ impl Ring {
 
     /// Writes everything and closes the recording; without `end`, closes it without a verdict.
     pub(super) fn close(mut self, end: Option<SessionEnd>) {
-        if let Some((items, mut end)) = self.items.take().zip(end) {
+        if let Some(mut end) = end {
             while let Some(item) = self.hold.as_mut().and_then(Hold::next) {
                 self.count(&item);
                 // A writer that has ended has reported why.
-                drop(items.send(item));
+                drop(self.items.send(item));
             }
             // Before Record, no trigger belongs to the recording.
             end.triggers_emitted = match self.first() {
                 Some(first) => end.triggers_emitted.map(|emitted| emitted.saturating_sub(first)),
                 None => Some(0),
             };
-            drop(items.send(ToWriter::End(end)));
+            drop(self.items.send(ToWriter::End(end)));
         }
-        self.items = None;
-        if self.writer.take().is_some_and(|writer| writer.join().is_err()) {
+        drop(self.items);
+        if self.writer.join().is_err() {
             tracing::error!("the writer panicked");
         }
     }

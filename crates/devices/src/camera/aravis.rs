@@ -191,10 +191,7 @@ impl Camera for AravisCamera {
     }
 
     fn test_packet_size(&mut self, bytes: u32) -> Result<Option<PacketTest>, CameraError> {
-        match self.device.is::<aravis::GvDevice>() {
-            true => self.test_packets(bytes),
-            false => Ok(None),
-        }
+        if self.has_registers() { self.test_packets(bytes) } else { Ok(None) }
     }
 
     fn create_stream(

@@ -5,7 +5,7 @@
 use super::description::plain;
 use super::error::CameraError;
 use super::features::{Features, answered, or_reason};
-use super::profile::FRAME_TRIGGERS;
+use super::profile::{FRAME_TRIGGERS, OFF, ON};
 
 const SELECTOR: &str = "TriggerSelector";
 const MODE: &str = "TriggerMode";
@@ -90,9 +90,6 @@ fn selected_mode(camera: &dyn Features, entry: &str) -> Result<Option<String>, C
 fn source(camera: &dyn Features) -> Result<Option<String>, CameraError> {
     answered(camera.text("TriggerSource"))
 }
-
-const ON: [&str; 4] = ["On", "True", "Enabled", "Enable"];
-const OFF: [&str; 4] = ["Off", "False", "Disabled", "Disable"];
 
 fn is_on(mode: &str) -> bool {
     ON.iter().any(|on| plain(on) == plain(mode))

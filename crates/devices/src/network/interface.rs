@@ -103,11 +103,7 @@ impl Interface {
 
 /// All interfaces that have an IPv4 address and are switched on, by their names.
 pub fn interfaces() -> Vec<Interface> {
-    let mut found: BTreeMap<String, Vec<Subnet>> = BTreeMap::new();
-    for (name, subnet) in addresses() {
-        found.entry(name).or_default().push(subnet);
-    }
-    found.into_iter().map(|(name, subnets)| Interface::describe(&name, subnets)).collect()
+    addresses().into_iter().map(|(name, subnets)| Interface::describe(&name, subnets)).collect()
 }
 
 /// Names of interfaces without a link, from the directory `sys` (`/sys`): an unplugged cable, a switch without power, or an
@@ -123,14 +119,14 @@ pub fn without_link(sys: &Path) -> Vec<String> {
     names
 }
 
-/// Names of interfaces that are switched on, each with one of its addresses.
-fn addresses() -> Vec<(String, Subnet)> {
+/// Names of interfaces that are switched on, with their IPv4 addresses.
+fn addresses() -> BTreeMap<String, Vec<Subnet>> {
     let mut list: *mut libc::ifaddrs = std::ptr::null_mut();
     // SAFETY: `list` is a valid place for a pointer.
     if unsafe { libc::getifaddrs(&raw mut list) } != 0 {
-        return Vec::new();
+        return BTreeMap::new();
     }
-    let mut found = Vec::new();
+    let mut found: BTreeMap<String, Vec<Subnet>> = BTreeMap::new();
     let mut next = list;
     while !next.is_null() {
         // SAFETY: an entry of the list that getifaddrs has made; it lives until the list is freed below.
@@ -151,7 +147,9 @@ fn addresses() -> Vec<(String, Subnet)> {
         // SAFETY: a text that ends with a zero and lives as long as the entry.
         let name = unsafe { std::ffi::CStr::from_ptr(entry.ifa_name) }.to_string_lossy().into_owned();
         let subnet = Subnet { address: Ipv4Addr::from_bits(address), bits: mask.leading_ones() as u8 };
-        found.extend(up.then_some((name, subnet)));
+        if up {
+            found.entry(name).or_default().push(subnet);
+        }
     }
     // SAFETY: made by getifaddrs above, and freed once.
     unsafe { libc::freeifaddrs(list) };

@@ -15,7 +15,7 @@ pub use action::PTP_SWITCHES;
 pub use image::uneven_rows;
 pub use must::{Must, Want, all as must_be};
 pub use plan::{Amount, Link, Plan, Scale, Trouble, Wishes, Write};
-pub use trigger::{FRAME_TRIGGERS, frame_trigger, starts_a_frame, trigger_lines};
+pub use trigger::{FRAME_TRIGGERS, OFF, ON, frame_trigger, starts_a_frame, trigger_lines};
 
 use crate::camera::description::{Description, Feature};
 

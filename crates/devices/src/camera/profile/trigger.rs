@@ -25,6 +25,11 @@ pub fn starts_a_frame(entry: &str, alone: bool) -> bool {
     FRAME_TRIGGERS.iter().any(|known| plain(known) == name) || alone && !other
 }
 
+/// Entries of a trigger's mode that mean on.
+pub const ON: [&str; 4] = ["On", "True", "Enabled", "Enable"];
+/// Entries of a trigger's mode that mean off.
+pub const OFF: [&str; 4] = ["Off", "False", "Disabled", "Disable"];
+
 const LINE: &str = "trigger_line";
 const MODE: &str = "TriggerMode";
 const SELECTOR: &str = "TriggerSelector";
@@ -109,11 +114,11 @@ fn mode(camera: &dyn Description) -> Result<(String, Option<String>, Option<Stri
             ),
         ));
     };
-    let Some(on) = mode.entry(&["On", "True", "Enabled", "Enable"]) else {
+    let Some(on) = mode.entry(&ON) else {
         let remedy = "set the trigger up in `settings`, and set left_to_settings = [\"trigger_line\"]";
         return Err(Trouble::no_entry(MODE, "On", &mode, remedy));
     };
-    let off = mode.entry(&["Off", "False", "Disabled", "Disable"]);
+    let off = mode.entry(&OFF);
     Ok((on.to_owned(), off.map(str::to_owned), frame_trigger(camera)?))
 }
 
