@@ -49,7 +49,8 @@ struct Lane {
     given_up: u64,
     /// The same, since the last frame whose trigger was found.
     given_up_now: u64,
-    /// Triggers of the last frames that were given up: by their block ids, and by the camera's clock where it names one.
+    /// Triggers of the last frames that were given up: by their block ids, and by the camera's clock where it names
+    /// one.
     given_up_at: VecDeque<(u64, Option<u64>)>,
     /// When a reading of its clock was last requested, by [`Accounting::awake`].
     clock_requested: Option<Duration>,
@@ -95,9 +96,9 @@ struct Full {
     starved: Option<Starved>,
 }
 
-/// The state of the matching thread, which owns it from the start of a session to its close. It promises that every frame
-/// gets a trigger by two independent witnesses or is given up by name, and that every trigger of every camera ends with
-/// exactly one outcome.
+/// The state of the matching thread, which owns it from the start of a session to its close. It promises that every
+/// frame gets a trigger by two independent witnesses or is given up by name, and that every trigger of every camera
+/// ends with exactly one outcome.
 pub(super) struct Accounting {
     lanes: Vec<Lane>,
     table: TriggerTable,
@@ -112,8 +113,8 @@ pub(super) struct Accounting {
     draining: bool,
     /// The HSU's count of triggers, once it is known.
     emitted: Option<u64>,
-    /// Time that this thread has been running. It does not grow while the process stands still, so that commands sent in the
-    /// meantime are handled before any patience ends.
+    /// Time that this thread has been running. It does not grow while the process stands still, so that commands sent
+    /// in the meantime are handled before any patience ends.
     awake: Duration,
     last_turn: Instant,
     pauses: Pauses,
@@ -242,8 +243,8 @@ impl Accounting {
         }
     }
 
-    /// Enters the HSU's time of a trigger into the table. The HSU's times are a source of their own: a time that contradicts
-    /// their rhythm, or a report that arrived before its trigger can have been fired, confirms no frame.
+    /// Enters the HSU's time of a trigger into the table. The HSU's times are a source of their own: a time that
+    /// contradicts their rhythm, or a report that arrived before its trigger can have been fired, confirms no frame.
     fn hsu_reports(&mut self, number: i64, hsu_time_ns: u64, late: bool, host_time_ns: u64) {
         let fired = self.hsu.host_from_device(hsu_time_ns.into());
         let slack = i128::from(self.options.period_ns / 8);
@@ -254,8 +255,8 @@ impl Accounting {
             false => self.hsu.heard(hsu_time_ns, host_time_ns),
             true if before == 0 => {
                 let text = format!(
-                    "the HSU's time of trigger {number}, {hsu_time_ns} ns, contradicts {}: frames from here on are filed by \
-                     what cameras count and stamp, as far as these agree (later ones are counted)",
+                    "the HSU's time of trigger {number}, {hsu_time_ns} ns, contradicts {}: from here on block ids and \
+                     timestamps decide on triggers, as far as they agree (later contradictions are counted)",
                     if possible { "the rhythm of its triggers" } else { "its report, which arrived earlier" }
                 );
                 self.event(HSU_TIMES_WRONG, None, u64::try_from(number).ok(), text);
@@ -280,13 +281,13 @@ impl Accounting {
         match sample.camera.as_ref().map(lane) {
             None => {
                 if let Judged::Reset { step_ns } = self.hsu.exchange(&exchange) {
-                    let message = format!("the HSU's clock was set anew, by {step_ns} ns");
+                    let message = format!("the HSU's clock jumped by {step_ns} ns");
                     self.event("hsu_clock_reset", None, None, message);
                 }
             }
             Some(Some(camera)) => {
                 if let Judged::Reset { step_ns } = self.lanes[camera].matcher.clock_sample(&exchange) {
-                    let message = format!("its clock was set anew, by {step_ns} ns (from clock samples)");
+                    let message = format!("its clock jumped by {step_ns} ns (found by clock readings)");
                     self.note(camera, "camera_clock_reset", None, message);
                 }
             }
@@ -334,7 +335,8 @@ impl Accounting {
                 Match::Spurious(residual_ns) => {
                     self.spurious(&arrival, &format!("lies {residual_ns} ns from the nearest trigger"));
                 }
-                Match::Stray => self.spurious(&arrival, "is a part of one whose id is not due"),
+                Match::Stray => self
+                    .spurious(&arrival, "is incomplete, and its trigger has an outcome or is not fired yet"),
                 Match::BeforeTrain => {
                     self.beginning.early += 1;
                     self.spurious(&arrival, "came before the first trigger");
@@ -401,7 +403,8 @@ impl Accounting {
         }
     }
 
-    /// Records a warm-up frame's id and times, whether its trigger is known or not: `verify` computes the triggers again.
+    /// Records a warm-up frame's id and times, whether its trigger is known or not: `verify` computes the triggers
+    /// again.
     fn warm_up_frame(&mut self, arrival: &Arrival) {
         let sample = WarmUp::Frame {
             block: arrival.block_id.0,

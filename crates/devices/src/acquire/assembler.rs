@@ -4,8 +4,8 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Assembles frame sets of frames `F`. The accounting owns it for one session. A set leaves when all expected cameras have
-/// an outcome, or when it has waited long enough.
+/// Assembles frame sets of frames `F`. The accounting owns it for one session. A set leaves when all expected cameras
+/// have an outcome, or when it has waited long enough.
 #[derive(Debug)]
 pub struct Assembler<F> {
     /// Cameras whose outcomes a set waits for, one bit each.
@@ -29,8 +29,8 @@ struct Open<F> {
 }
 
 impl<F> Assembler<F> {
-    /// An assembler for up to 64 cameras. A set waits for its last outcome at most for `patience`, and only while there are
-    /// at most `most_open` sets.
+    /// An assembler for up to 64 cameras. A set waits for its last outcome at most for `patience`, and only while
+    /// there are at most `most_open` sets.
     pub fn new(cameras: usize, patience: Duration, most_open: usize) -> Self {
         let expected = if cameras >= 64 { u64::MAX } else { (1 << cameras) - 1 };
         Self {
@@ -70,8 +70,8 @@ impl<F> Assembler<F> {
         open.frames.extend(frame);
     }
 
-    /// The next set that is complete or has waited long enough, with its trigger; sets leave in order. Frames that come after
-    /// their set has left form a set of their own. `all`: complete or not.
+    /// The next set that is complete or has waited long enough, with its trigger; sets leave in order. Frames that
+    /// come after their set has left form a set of their own. `all`: complete or not.
     pub fn next(&mut self, now: Instant, all: bool) -> Option<(u64, Vec<F>)> {
         let first = self.open.front()?;
         let complete = first.outcomes & self.expected == self.expected || first.trigger < self.passed;

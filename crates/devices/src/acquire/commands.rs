@@ -13,8 +13,8 @@ use std::time::Duration;
 pub enum RecorderCommand {
     /// The HSU reported a trigger.
     Trigger(TriggerRecord),
-    /// The HSU reported a warm-up trigger, fired at `hsu_time_ns` (HSU clock) and reported at `host_time_ns` (host clock).
-    /// Its number is negative; its frames are recognized and not recorded. `late`: the HSU flags it as late.
+    /// The HSU reported a warm-up trigger, fired at `hsu_time_ns` (HSU clock) and reported at `host_time_ns` (host
+    /// clock). Its number is negative; its frames are recognized and not recorded. `late`: the HSU flags it as late.
     WarmUp { number: i64, hsu_time_ns: u64, late: bool, host_time_ns: u64 },
     /// Nothing was triggered before this time (host clock): frames that arrived earlier belong to no trigger.
     Silent { until_ns: u64 },
@@ -26,8 +26,8 @@ pub enum RecorderCommand {
     CameraLost(usize, GapCause),
     /// The cause for which a lost camera is away is now known to be this one.
     CameraAway(usize, GapCause),
-    /// A lost camera is back, with a fresh stream: its block ids begin anew, its clock may have been reset, and frames of
-    /// earlier streams are not recorded any more.
+    /// A lost camera is back, with a fresh stream: its block ids begin anew, its clock may have been reset, and
+    /// frames of earlier streams are not recorded any more.
     CameraBack { camera: usize, stream: u32 },
     /// Record was pressed: the recording begins with trigger `first` of the train, as far as its frames are held.
     /// `pressed`: the newest trigger of which all nodes had the frames at that moment.
@@ -52,8 +52,8 @@ impl RecorderCommand {
 pub enum RecorderEvent {
     /// The frames of all triggers are in, or will not come any more.
     Drained,
-    /// The ring was full for the first time, and the configuration requires a stop. `why`: the cause, where it was not the
-    /// disk.
+    /// The ring was full for the first time, and the configuration requires a stop. `why`: the cause, where it was
+    /// not the disk.
     RingFull { why: Option<String> },
     /// The trigger of a camera's frame is in doubt: the camera's clock should be read now.
     Doubtful { camera: usize },
@@ -72,7 +72,8 @@ pub struct RecorderOptions {
     pub period_ns: u64,
     /// Memory blocks of each camera, which limit all frames under way.
     pub buffers_per_camera: usize,
-    /// Triggers before Record whose frame sets are held at most; 0: nothing is held, the recording begins with the train.
+    /// Triggers before Record whose frame sets are held at most; 0: nothing is held, the recording begins with the
+    /// train.
     pub held_sets: usize,
     /// Whether a full ring drops frame sets or stops the session.
     pub when_full: WhenFull,
@@ -86,9 +87,11 @@ pub struct RecorderOptions {
 
 /// [`RecorderOptions::report_patience`] in trigger periods, and its least value: enough for a report over a busy link.
 const REPORT_PERIODS: (u32, Duration) = (48, Duration::from_millis(400));
-/// [`RecorderOptions::set_patience`] in trigger periods, and its least value: the cameras of a trigger finish close together.
+/// [`RecorderOptions::set_patience`] in trigger periods, and its least value: the cameras of a trigger finish close
+/// together.
 const SET_PERIODS: (u32, Duration) = (6, Duration::from_millis(50));
-/// [`RecorderOptions::drain_patience`] in trigger periods, and its least value: frames and reports behind a pause still arrive.
+/// [`RecorderOptions::drain_patience`] in trigger periods, and its least value: frames and reports behind a pause
+/// still arrive.
 const DRAIN_PERIODS: (u32, Duration) = (180, Duration::from_millis(1500));
 
 impl RecorderOptions {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Frame sets before Record: those of the last seconds wait in memory, and the oldest are dropped.
 //!
-//! Until Record is pressed, nothing that belongs to a trigger is written. Then the recording begins at a past trigger, which
-//! becomes trigger 0, and all numbers are counted from it. The warm-up is kept with its numbers, so that `verify` finds
-//! the beginning of every stream as in any other session.
+//! Until Record is pressed, nothing that belongs to a trigger is written. Then the recording begins at a past
+//! trigger, which becomes trigger 0, and all numbers are counted from it. The warm-up is kept with its numbers, so
+//! that `verify` finds the beginning of every stream as in any other session.
 
 use super::writer_queue::{ReadyFrame, ToWriter};
 use crate::base::ids::TriggerIndex;
@@ -109,8 +109,8 @@ impl Hold {
         frames
     }
 
-    /// Record was pressed: the recording begins with this trigger of the train. Returns the number of held frames that are
-    /// older, and the triggers from `first` on that are not held any more. A second call changes nothing.
+    /// Record was pressed: the recording begins with this trigger of the train. Returns the number of held frames
+    /// that are older, and the triggers from `first` on that are not held any more. A second call changes nothing.
     pub(super) fn keep(&mut self, first: u64) -> (usize, std::ops::Range<u64>) {
         if self.first.is_some() {
             return (0, 0..0);

@@ -23,8 +23,8 @@ pub(super) struct Pauses {
 }
 
 impl Pauses {
-    /// Shortest gap between two turns of a 10 ms thread that counts as a pause: longer than a loaded machine takes now and
-    /// then, shorter than the time whose packets the sockets can hold at full rate.
+    /// Shortest gap between two turns of a 10 ms thread that counts as a pause: longer than a loaded machine takes
+    /// now and then, shorter than the time whose packets the sockets can hold at full rate.
     pub(super) const SHORTEST: Duration = Duration::from_millis(200);
 
     /// Adds a pause before any trigger was reported.
@@ -39,8 +39,9 @@ impl Pauses {
         !self.early.is_empty()
     }
 
-    /// Assigns the early pauses to triggers, once it is known when trigger 0 was fired (host clock, ns). Gives the number of
-    /// triggers concerned, including those whose frames were on their way; `None` where the pauses ended before.
+    /// Assigns the early pauses to triggers, once it is known when trigger 0 was fired (host clock, ns). Gives the
+    /// number of triggers concerned, including those whose frames were on their way; `None` where the pauses ended
+    /// before.
     pub(super) fn begin(&mut self, first_ns: u64, period_ns: u64) -> Option<u64> {
         let last = self.early.drain(..).map(|pause| pause.end).max()?;
         let concerned = last.saturating_add(period_ns).checked_sub(first_ns)? / period_ns.max(1) + 2;

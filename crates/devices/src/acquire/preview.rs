@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Samples of frames for previews and the live body: a quarter of a frame, copied where its set enters the ring.
 //!
-//! The cost is bounded whatever previews do: a frame is copied only on request, every fourth row of it, into memory that is
-//! kept, and nothing waits. Without a request the cost is one load of a flag per frame.
+//! The cost is bounded whatever previews do: a frame is copied only on request, every fourth row of it, into memory
+//! that is kept, and nothing waits. Without a request the cost is one load of a flag per frame.
 
 use crate::base::ids::CameraId;
 use crate::record::FrameMeta;
@@ -99,8 +99,8 @@ impl Taps {
         Some(fresh)
     }
 
-    /// Leaves a sample of a frame if one is requested. Never waits: while a preview takes the last one, the next frame will
-    /// do.
+    /// Leaves a sample of a frame if one is requested. Never waits: while a preview takes the last one, the next
+    /// frame will do.
     pub(super) fn offer(&self, camera: usize, meta: &FrameMeta, pixels: &[u8]) {
         let Some(tap) = self.taps.get(camera) else { return };
         let wanted = tap.wanted.load(Ordering::Acquire);

@@ -18,10 +18,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 
-/// The recorder of one session: the thread that matches frames to triggers and accounts for them. The node starts it when
-/// the cameras are armed. It owns the accounting, and the writer's thread behind it owns the recording. It promises that
-/// every trigger of every camera ends with a frame or a gap record. It ends with [`RecorderCommand::Close`] or
-/// [`RecorderCommand::Discard`], or when all senders of commands are gone.
+/// The recorder of one session: the thread that matches frames to triggers and accounts for them. The node starts it
+/// when the cameras are armed. It owns the accounting, and the writer's thread behind it owns the recording. It
+/// promises that every trigger of every camera ends with a frame or a gap record. It ends with
+/// [`RecorderCommand::Close`] or [`RecorderCommand::Discard`], or when all senders of commands are gone.
 pub struct Recorder {
     accounting: Accounting,
     progress: Arc<Progress>,

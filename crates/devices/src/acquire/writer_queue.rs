@@ -80,8 +80,8 @@ impl Sink for Recording {
     }
 }
 
-/// The bounded queue to the writer's thread, as the matching thread owns it. It promises that frame sets enter whole or not
-/// at all. It ends with [`Ring::close`], which waits for the writer's thread.
+/// The bounded queue to the writer's thread, as the matching thread owns it. It promises that frame sets enter whole
+/// or not at all. It ends with [`Ring::close`], which waits for the writer's thread.
 pub(super) struct Ring {
     items: Sender<ToWriter>,
     /// The frames that wait for Record; `None` where the recording begins with the train.
@@ -159,8 +159,8 @@ impl Ring {
         self.go_on();
     }
 
-    /// Record was pressed: the recording begins with trigger `first` of the train. Triggers of it that are not held any more
-    /// become gap records.
+    /// Record was pressed: the recording begins with trigger `first` of the train. Triggers of it that are not held
+    /// any more become gap records.
     pub(super) fn keep(&mut self, first: u64, cameras: usize) {
         let Some(hold) = &mut self.hold else { return };
         let (older, lost) = hold.keep(first);

@@ -6,8 +6,10 @@
 //! * Late blocks of a reused stream are thrown away silently: every session gets a fresh stream.
 //! * Automatic packet size may exceed the MTU: it is explicit, adjustment is off.
 //! * An incomplete frame holds back later ones for `frame-retention`: it is set to a few trigger periods.
-//! * A truncated packet counts as a whole one: GigE blocks carry [`Canaries`], and the bytes that arrived are counted.
-//! * A frame is complete when its packets came, whatever its leader describes: each frame is checked against its contract.
+//! * A truncated packet counts as a whole one: GigE blocks carry [`Canaries`], and the bytes that arrived are
+//!   counted.
+//! * A frame is complete when its packets came, whatever its leader describes: each frame is checked against its
+//!   contract.
 //! * Without a tick frequency frames get the host's time as timestamp: such a timestamp is ignored.
 
 use self::registers::holder;
@@ -290,9 +292,9 @@ const COUNTERS: [&str; 8] = [
     "n_resent_packets",
 ];
 
-/// A stream and its blocks. The receiver's thread owns it. A block is either lent to Aravis, or out with a frame while the
-/// Aravis buffer that wraps it waits in `parked`; a block that is dropped comes home and is lent again. Dropping the stream
-/// ends Aravis' thread.
+/// A stream and its blocks. The receiver's thread owns it. A block is either lent to Aravis, or out with a frame
+/// while the Aravis buffer that wraps it waits in `parked`; a block that is dropped comes home and is lent again.
+/// Dropping the stream ends Aravis' thread.
 struct AravisStream {
     /// Before `lent`, as fields are dropped in this order: the last reference to a stream ends its thread.
     stream: aravis::Stream,
@@ -474,8 +476,8 @@ impl FrameStream for AravisStream {
 
 impl Drop for AravisStream {
     fn drop(&mut self) {
-        // Aravis' thread must not write into the blocks when `lent` is dropped. Dropping the last reference ends the thread;
-        // ending it before that as well makes Aravis 0.8.26 log a failed assertion.
+        // Aravis' thread must not write into the blocks when `lent` is dropped. Dropping the last reference ends the
+        // thread; ending it before that as well makes Aravis 0.8.26 log a failed assertion.
         if self.stream.ref_count() > 1 {
             self.stream.stop_thread(true);
         }

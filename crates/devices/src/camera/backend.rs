@@ -130,8 +130,8 @@ pub trait Camera: Send {
     /// Whether this program still controls the camera.
     fn is_alive(&self) -> bool;
 
-    /// For a camera that is not alive: the error that names its controller, where the transport has such a privilege and
-    /// the camera answers.
+    /// For a camera that is not alive: the error that names its controller, where the transport has such a privilege
+    /// and the camera answers.
     fn not_ours(&self) -> Option<CameraError>;
 
     /// Brings the camera into a known state, sets it as the node file requests, and verifies what it will send.

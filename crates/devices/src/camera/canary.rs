@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Marks in the block that a whole transfer overwrites; they reveal a packet that arrived short.
 //!
-//! Aravis 0.8.26 takes a truncated packet for a whole one, and reports the frame as complete. Before a block is lent to
-//! Aravis, the last [`MARK_BYTES`] of every packet's place get a mark that is random per stream. A mark that is still there
-//! in a complete frame shows bytes that were never written. A packet that lacks fewer bytes than a mark has overwrites a
-//! part of the mark; then the number of bytes that arrived reveals it.
+//! Aravis 0.8.26 takes a truncated packet for a whole one, and reports the frame as complete. Before a block is lent
+//! to Aravis, the last [`MARK_BYTES`] of every packet's place get a mark that is random per stream. A mark that is
+//! still there in a complete frame shows bytes that were never written. A packet that lacks fewer bytes than a mark
+//! has overwrites a part of the mark; then the number of bytes that arrived reveals it.
 
 use std::hash::{BuildHasher, RandomState};
 
@@ -14,8 +14,8 @@ pub const MARK_BYTES: usize = 8;
 /// IP, UDP and GVSP headers of a payload packet with 16-bit and with 64-bit block ids (GigE Vision 2, "extended").
 const HEADER_BYTES: [usize; 2] = [20 + 8 + 8, 20 + 8 + 20];
 
-/// The marks of a stream's blocks. The stream makes them, plants them before a block is lent, and looks for survivors when
-/// the frame is complete.
+/// The marks of a stream's blocks. The stream makes them, plants them before a block is lent, and looks for survivors
+/// when the frame is complete.
 #[derive(Debug)]
 pub struct Canaries {
     /// Twice the mark, so that each of its rotations is one slice.
@@ -27,8 +27,8 @@ pub struct Canaries {
 }
 
 impl Canaries {
-    /// Marks for images of `pixel_bytes` in IP packets of `packet_bytes`. Which of the two headers is in use is not known
-    /// before the first frame: both give places, and a whole frame overwrites them all.
+    /// Marks for images of `pixel_bytes` in IP packets of `packet_bytes`. Which of the two headers is in use is not
+    /// known before the first frame: both give places, and a whole frame overwrites them all.
     pub fn new(pixel_bytes: usize, packet_bytes: usize) -> Self {
         let mark = RandomState::new().hash_one("mark").to_le_bytes();
         let mut secret = [0; 2 * MARK_BYTES];
@@ -52,8 +52,8 @@ impl Canaries {
         Self { secret, places, last_has_room: payloads.into_iter().all(room) }
     }
 
-    /// Whether one byte beyond the image would arrive in the last packet. Then room for it reveals frames that are too long,
-    /// without a change of the number of packets.
+    /// Whether one byte beyond the image would arrive in the last packet. Then room for it reveals frames that are
+    /// too long, without a change of the number of packets.
     pub fn last_has_room(&self) -> bool {
         self.last_has_room
     }

@@ -6,8 +6,8 @@ const TAIL: usize = 8;
 /// Most chunks that are followed; no camera appends as many.
 const CHUNKS_MAX: usize = 256;
 
-/// The length of the first chunk of a payload that consists of chunks from its first byte to its last. Numbers begin with
-/// their upper byte (GigE Vision) or with their lower one (USB3 Vision).
+/// The length of the first chunk of a payload that consists of chunks from its first byte to its last. Numbers begin
+/// with their upper byte (GigE Vision) or with their lower one (USB3 Vision).
 pub fn first_chunk(payload: &[u8], upper_first: bool) -> Option<usize> {
     let mut end = payload.len();
     for _ in 0..CHUNKS_MAX {

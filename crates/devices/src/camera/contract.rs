@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The contract of a frame: one grey image with the format, the size and the place on the sensor that were verified when its
-//! camera was set up, and nothing beside it. Any other frame is not recorded.
+//! The contract of a frame: one grey image with the format, the size and the place on the sensor that were verified
+//! when its camera was set up, and nothing beside it. Any other frame is not recorded.
 
 use crate::config::{Mosaic, Pixel};
 use std::fmt;
@@ -47,7 +47,10 @@ impl FrameContract {
     pub fn loss(&self) -> Vec<String> {
         let (name, depth) = (self.pixel.name(), self.pixel.depth());
         let bits = depth.checked_sub(8).filter(|lost| *lost > 0).map(|lost| {
-            format!("its pixels are {name}: the upper 8 of their {depth} bits are recorded, and the lower {lost} are lost")
+            format!(
+                "its pixels are {name}: the upper 8 of their {depth} bits are recorded, and the lower {lost} are \
+                 lost"
+            )
         });
         let chunks = (self.chunk_room > 0).then(|| {
             format!("up to {} bytes of chunks follow each image, and are not recorded", self.chunk_room)
@@ -55,7 +58,8 @@ impl FrameContract {
         let plane = (self.pixel.step() > 1).then(|| {
             let ((width, height), (columns, rows), (column, row)) = (self.size, self.sent_size(), self.place);
             format!(
-                "of its {name} of {columns} x {rows} the plane of the head's colour is recorded, {width} x {height}: pixel \
+                "of its {name} of {columns} x {rows} the plane of the head's colour is recorded, {width} x {height}: \
+                 pixel \
                  (u, v) of frames and calibration is pixel (2u + {column}, 2v + {row}) of the camera"
             )
         });
@@ -189,7 +193,8 @@ impl fmt::Display for Breach {
             }
             Self::TooLarge(pixel) => write!(
                 f,
-                "it has values of more than {} bits, which {} has not: the camera may put them at the upper end of their \
+                "it has values of more than {} bits, which {} has not: the camera may put them at the upper end of \
+                 their \
                  bytes; set pixel to another format",
                 pixel.depth(),
                 pixel.name()
@@ -213,7 +218,8 @@ impl fmt::Display for Breach {
             }
             Self::Chunks { first: None, expected } => write!(
                 f,
-                "what follows its image of {expected} bytes is no whole row of chunks: a packet arrived short, or the camera \
+                "what follows its image of {expected} bytes is no whole row of chunks: a packet arrived short, or the \
+                 camera \
                  counts them otherwise; switch its chunks off (ChunkModeActive)"
             ),
             Self::Bytes { found, expected } if found > expected => {

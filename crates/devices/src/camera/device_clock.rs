@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! How a camera's clock is read, and in which unit: both are found by reading it twice beside the host's clock.
 //!
-//! A feature's name does not give its unit, and a tick frequency may be 0, wrong or absent. So a way to read the clock is
-//! used only when it keeps time with the host's clock; none is guessed.
+//! A feature's name does not give its unit, and a tick frequency may be 0, wrong or absent. So a way to read the
+//! clock is used only when it keeps time with the host's clock; none is guessed.
 
 use super::backend::CameraClockSample;
 use super::error::CameraError;
@@ -13,7 +13,8 @@ use std::time::{Duration, Instant};
 const NANOSECONDS: u64 = 1_000_000_000;
 /// Time between the two readings that are compared: long enough to tell units apart, short enough for a start.
 const APART: Duration = Duration::from_millis(10);
-/// Share by which the camera's clock may differ from the host's: far more than any clock does, far less than a wrong unit.
+/// Share by which the camera's clock may differ from the host's: far more than any clock does, far less than a wrong
+/// unit.
 const TOLERANCE: f64 = 0.02;
 
 /// Control register of the clock (GigE Vision bootstrap).

@@ -11,7 +11,8 @@ pub enum CameraError {
     NotFound { address: String, detail: String },
     /// Another program holds the control privilege; `holder` is its address and port, where the camera reports it.
     #[error(
-        "the camera at {address} is controlled by another program{}; close that program, or wait until its heartbeat times out",
+        "the camera at {address} is controlled by another program{}; close that program, or wait until its heartbeat \
+         times out",
         holder.as_ref().map(|host| format!(" on {host}")).unwrap_or_default()
     )]
     Owned { address: String, holder: Option<String> },
@@ -33,13 +34,15 @@ pub enum CameraError {
     Link { doing: &'static str, detail: String },
     /// The camera's answer cannot be true, as an image without rows.
     #[error(
-        "the camera answers nonsense while {doing} ({detail}); restart it, and if that does not help ask its vendor for \
+        "the camera answers nonsense while {doing} ({detail}); restart it, and if that does not help ask its vendor \
+         for \
          other firmware"
     )]
     Nonsense { doing: &'static str, detail: String },
     /// The camera sends test packets, and none arrives. `patience_ms`: the wait for packets of one size.
     #[error(
-        "no test packet of the camera arrives, of whatever size, within {patience_ms} ms; look for a firewall that drops \
+        "no test packet of the camera arrives, of whatever size, within {patience_ms} ms; look for a firewall that \
+         drops \
          them, see `fourdbody doctor`, and whether the camera has a route to this host's address"
     )]
     NoTestPackets { patience_ms: u128 },

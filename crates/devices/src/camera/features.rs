@@ -36,8 +36,8 @@ pub trait Features: Description {
     /// the register's value, so that a caller who wants another value sets it.
     fn read(&self, feature: &str) -> Result<FeatureValue, Failed>;
 
-    /// Sets a feature. Integers, floats and booleans are converted to the feature's kind. A command is executed, whatever
-    /// the value; a locked feature is refused.
+    /// Sets a feature. Integers, floats and booleans are converted to the feature's kind. A command is executed,
+    /// whatever the value; a locked feature is refused.
     fn write(&self, feature: &str, value: &FeatureValue) -> Result<(), Failed>;
 
     /// The limits of a number as the camera is set now.

@@ -8,8 +8,8 @@ use crate::config::FeatureValue;
 /// The feature that holds the packet size, bytes with IP and UDP headers.
 pub const FEATURE: &str = "GevSCPSPacketSize";
 
-/// The largest size within the bounds that is not larger than the requested one, because the network may not carry larger
-/// packets. Where there is none: the requested size, which the camera then refuses.
+/// The largest size within the bounds that is not larger than the requested one, because the network may not carry
+/// larger packets. Where there is none: the requested size, which the camera then refuses.
 pub fn fitting(requested: u32, bounds: Bounds) -> u32 {
     let wanted = f64::from(requested);
     let most = bounds.max.map_or(wanted, |max| wanted.min(max));
@@ -30,7 +30,8 @@ pub fn refusal(requested: u32, why: &str, bounds: Bounds, now: Option<i64>) -> S
         (None, _) => "one that it takes".to_owned(),
     };
     format!(
-        "{FEATURE} cannot be set to {requested}: the camera refuses it ({why}); it takes {bounds}{has}: set packet_bytes = {remedy}"
+        "{FEATURE} cannot be set to {requested}: the camera refuses it ({why}); it takes {bounds}{has}: set \
+         packet_bytes = {remedy}"
     )
 }
 

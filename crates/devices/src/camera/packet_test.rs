@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The search for the largest packet that arrives, independent of what sends them.
 //!
-//! Aravis' own search gives a packet 10 ms, and receives packets as large as the camera's register allows into memory of the
-//! description's largest packet: a camera that sends more than it describes ends the process (0.8.26). So the search is here,
-//! and receives into memory that holds any datagram.
+//! Aravis' own search gives a packet 10 ms, and receives packets as large as the camera's register allows into memory
+//! of the description's largest packet: a camera that sends more than it describes ends the process (0.8.26). So the
+//! search is here, and receives into memory that holds any datagram.
 
 use super::backend::PacketTest;
 use super::error::CameraError;
@@ -44,8 +44,8 @@ pub struct Tried {
     pub took: Duration,
 }
 
-/// Finds the largest packet that arrives, up to `requested`; `None` where none does. `attempt` makes the camera send packets
-/// of one size, and waits for each as long as given.
+/// Finds the largest packet that arrives, up to `requested`; `None` where none does. `attempt` makes the camera send
+/// packets of one size, and waits for each as long as given.
 ///
 /// # Errors
 /// As `attempt`: the camera is lost.

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Fresh streams that have received nothing yet.
 //!
-//! A packet socket receives every datagram of its interface between its creation and the setting of its filter: answers of
-//! other cameras, and on loopback any traffic. Aravis 0.8.26 reads a block id from such a datagram and takes it for the
-//! newest; up to 100 good frames behind that id are then thrown away. So a stream that received something before its camera
-//! was started is made anew.
+//! A packet socket receives every datagram of its interface between its creation and the setting of its filter:
+//! answers of other cameras, and on loopback any traffic. Aravis 0.8.26 reads a block id from such a datagram and
+//! takes it for the newest; up to 100 good frames behind that id are then thrown away. So a stream that received
+//! something before its camera was started is made anew.
 //!
-//! Where others send without a pause, no packet socket is ever quiet. A UDP socket receives only what is sent to its own
-//! port, and is used then, at the cost of more processor time.
+//! Where others send without a pause, no packet socket is ever quiet. A UDP socket receives only what is sent to its
+//! own port, and is used then, at the cost of more processor time.
 
 use super::backend::{Camera, FrameStream, StreamOptions};
 use super::error::CameraError;
@@ -16,8 +16,8 @@ use crate::host::frame_memory::Block;
 use std::io;
 use std::time::{Duration, Instant};
 
-/// Wait until packets that arrived before the filter was set are counted: the socket's ring hands them over within a few
-/// milliseconds.
+/// Wait until packets that arrived before the filter was set are counted: the socket's ring hands them over within a
+/// few milliseconds.
 const SETTLE: Duration = Duration::from_millis(40);
 /// Attempts to get a quiet stream, with either kind of socket.
 const ATTEMPTS: usize = 4;

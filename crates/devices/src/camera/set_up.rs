@@ -95,8 +95,8 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Writes the plan. A feature that is not available yet may become so with a later setting: it is then written, behind
-    /// the selector entry that was selected for it.
+    /// Writes the plan. A feature that is not available yet may become so with a later setting: it is then written,
+    /// behind the selector entry that was selected for it.
     fn plan(&mut self, plan: &Plan) -> Result<(), CameraError> {
         let mut later = Vec::new();
         for (place, write) in plan.writes.iter().enumerate() {
@@ -323,7 +323,8 @@ impl Work<'_> {
                 && differs(value, &found)
             {
                 self.problems.push(format!(
-                    "{feature} is {found} after all settings were made, it was set to {value}: find the setting that changes it"
+                    "{feature} is {found} after all settings were made, it was set to {value}: find the setting that \
+                     changes it"
                 ));
             }
         }
@@ -407,7 +408,8 @@ fn colours(camera: &dyn Features) -> Result<Option<String>, CameraError> {
         },
     };
     Ok(Some(format!(
-        "the sensor sees colours ({why}): the camera makes grey of several pixels, in which fringes of one colour are coarser and \
+        "the sensor sees colours ({why}): the camera makes grey of several pixels, in which fringes of one colour are \
+         coarser and \
          darker; expected a grey sensor"
     )))
 }

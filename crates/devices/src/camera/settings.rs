@@ -44,8 +44,8 @@ pub fn differences(a: &State, b: &State) -> Vec<(String, Option<String>, Option<
     names.into_iter().map(pair).filter(|(_, a, b)| a != b).collect()
 }
 
-/// Tolerance of floats, as a share of the wanted value and at least this amount: cameras quantize exposures to line times
-/// and gains to tenths of a decibel.
+/// Tolerance of floats, as a share of the wanted value and at least this amount: cameras quantize exposures to line
+/// times and gains to tenths of a decibel.
 const FLOAT_TOLERANCE: f64 = 2e-3;
 
 /// Whether a camera has another value than the wanted one. Numbers of different kinds are compared by their values.

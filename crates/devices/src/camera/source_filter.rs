@@ -2,9 +2,9 @@
 //! A filter in the kernel, so that a stream receives datagrams of its camera only.
 //!
 //! Aravis 0.8.26 sets no filter on its UDP socket, and one on its packet socket that lets every source port of the
-//! camera's address pass. So any host that can send to the stream's port could replace pixels. The sockets are found from
-//! outside, by the stream's port, and get a filter here. It checks the camera's address, and its source port where the
-//! camera reports it.
+//! camera's address pass. So any host that can send to the stream's port could replace pixels. The sockets are found
+//! from outside, by the stream's port, and get a filter here. It checks the camera's address, and its source port
+//! where the camera reports it.
 
 use std::io;
 use std::mem::{size_of, size_of_val};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which triggers of a camera are on. Either each trigger has its own mode behind the selector, or the camera has one mode,
-//! which then applies to the selected trigger.
+//! Which triggers of a camera are on. Either each trigger has its own mode behind the selector, or the camera has one
+//! mode, which then applies to the selected trigger.
 
 use super::description::plain;
 use super::error::CameraError;

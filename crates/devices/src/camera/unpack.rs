@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Conversion of grey values deeper than 8 bits to 8 bits, in the memory that they were received into.
 //!
-//! No pixel format has less than a byte per pixel, so the result overwrites only bytes that have been read already. No second
-//! pool is needed, and the writer finds the image where that of an 8-bit camera is.
+//! No pixel format has less than a byte per pixel, so the result overwrites only bytes that have been read already.
+//! No second pool is needed, and the writer finds the image where that of an 8-bit camera is.
 
 use crate::config::Pixel;
 
 /// Pixels of one step: they fit into the first-level cache, and are a whole number of groups in any format.
 const STEP: usize = 2048;
 
-/// Shifts `count` pixels at the beginning of `memory` to a byte each. Gives the bits above the format's depth that are set
-/// in any value; they must be 0.
+/// Shifts `count` pixels at the beginning of `memory` to a byte each. Gives the bits above the format's depth that
+/// are set in any value; they must be 0.
 pub fn unpack(pixel: Pixel, memory: &mut [u8], count: usize) -> u16 {
     let mut read = [0; 2 * STEP];
     let mut seen = 0;
@@ -27,8 +27,8 @@ pub fn unpack(pixel: Pixel, memory: &mut [u8], count: usize) -> u16 {
     seen.checked_shr(pixel.depth() as u32).unwrap_or(0)
 }
 
-/// Keeps one pixel of each two by two of an 8-bit image: the one at column and row `place`. `size` is that of the result,
-/// which overwrites the beginning of the memory.
+/// Keeps one pixel of each two by two of an 8-bit image: the one at column and row `place`. `size` is that of the
+/// result, which overwrites the beginning of the memory.
 pub fn take_plane(memory: &mut [u8], (width, height): (usize, usize), (column, row): (usize, usize)) {
     let mut read = [0; 2 * STEP];
     if memory.len() < 4 * width * height {
@@ -101,8 +101,8 @@ mod tests {
         for (i, value) in values.iter().enumerate() {
             for bit in (0..depth).filter(|bit| value >> bit & 1 == 1) {
                 let at = match pixel {
-                    // GigE Vision: the upper 8 bits in a byte of their own, the others in the one in the middle, of which
-                    // the first pixel has the lower half.
+                    // GigE Vision: the upper 8 bits in a byte of their own, the others in the one in the middle, of
+                    // which the first pixel has the lower half.
                     Pixel::Mono10Packed | Pixel::Mono12Packed => {
                         let (pair, second) = (i / 2 * 24, i % 2);
                         match bit.checked_sub(depth - 8) {

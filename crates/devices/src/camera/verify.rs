@@ -18,8 +18,8 @@ const UPPER_FIRST: [&str; 3] = ["GevSCPSBigEndian", "pgrPixelBigEndian", "Device
 const PACKET_SIZE: (u64, u32) = (0x0d04, 0x2000_0000);
 
 /// The contract that the camera's frames must keep, or all differences from the requirements, each with its remedy.
-/// `format` is the chosen entry of PixelFormat with its meaning; none: it is left to settings. `triggers` are those that
-/// are on.
+/// `format` is the chosen entry of PixelFormat with its meaning; none: it is left to settings. `triggers` are those
+/// that are on.
 pub fn verify(
     camera: &dyn Features,
     wanted: &Wishes,
@@ -39,8 +39,8 @@ pub fn verify(
         if camera.has(MODE) {
             check.expect(MODE, camera.text(MODE), &"Continuous".to_owned(), "set no other in `settings`")?;
         }
-        // A camera whose trigger is set up by features of its own is checked by its silence before the start, and by the
-        // rhythm of the warm-up.
+        // A camera whose trigger is set up by features of its own is checked by its silence before the start, and by
+        // the rhythm of the warm-up.
         if camera.has("TriggerMode") || !wanted.left_to_settings("trigger_line") {
             check.one_trigger(triggers);
         }
@@ -50,7 +50,8 @@ pub fn verify(
         Pixel::Bayer8(mosaic) => {
             if offset.0 % 2 + offset.1 % 2 > 0 {
                 check.problems.push(format!(
-                    "OffsetX is {} and OffsetY is {}, expected even ones: some cameras name the colours as if they were",
+                    "OffsetX is {} and OffsetY is {}, expected even ones: some cameras name the colours as if they \
+                     were",
                     offset.0, offset.1
                 ));
             }

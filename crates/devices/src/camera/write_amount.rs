@@ -124,7 +124,8 @@ fn near(camera: &dyn Features, write: &Write, number: Number, bounds: Bounds) ->
     if wanted < least - tolerance || wanted > most + tolerance {
         let then = match write.word {
             "packet_delay_us" if wanted > most => {
-                "; packets of cameras on one link then come closer to each other, and the switch must hold them: give the \
+                "; packets of cameras on one link then come closer to each other, and the switch must hold them: give \
+                 the \
                  camera a port of its own, or let each packet be larger (acquisition.packet_bytes)"
             }
             _ => "",

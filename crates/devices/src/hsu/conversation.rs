@@ -40,7 +40,8 @@ impl Conversation {
         let device = self.link.device();
         let other_version = |min: u8, current: u8| {
             HsuError::Unfit(format!(
-                "the HSU on {device} speaks protocol versions {min} to {current}, this program {} to {}: update the older of the two",
+                "the HSU on {device} speaks protocol versions {min} to {current}, this program {} to {}: update the \
+                 older of the two",
                 version::MIN,
                 version::CURRENT
             ))

@@ -10,12 +10,14 @@ use std::time::Duration;
 pub enum HsuError {
     /// The serial device could not be opened.
     #[error(
-        "cannot open the HSU's serial device {device}: {cause}; expected a free serial port: check the path, the permissions (group dialout) and that no other program has it open"
+        "cannot open the HSU's serial device {device}: {cause}; expected a free serial port: check the path, the \
+         permissions (group dialout) and that no other program has it open"
     )]
     Open { device: String, cause: String },
     /// The unit did not answer. `waited`: the time for all attempts together.
     #[error(
-        "no answer from the HSU on {device} to {request}: expected one within {waited:?} ({attempts} attempts), found silence; check its power, the cable, and that the device is the HSU's"
+        "no answer from the HSU on {device} to {request}: expected one within {waited:?} ({attempts} attempts), found \
+         silence; check its power, the cable, and that the device is the HSU's"
     )]
     NoAnswer { device: String, request: &'static str, attempts: u32, waited: Duration },
     /// The unit refused the request for a reason of the protocol.

@@ -15,8 +15,8 @@ const EVENTS: usize = 8192;
 pub enum HsuEvent {
     /// The unit's status: four times a second and at every change of state.
     Heartbeat(Status),
-    /// A trigger was fired. Within a session their numbers have no gap and no repetition; warm-up triggers have negative
-    /// numbers. Times are of the HSU's clock, ns.
+    /// A trigger was fired. Within a session their numbers have no gap and no repetition; warm-up triggers have
+    /// negative numbers. Times are of the HSU's clock, ns.
     Trigger { session: SessionId, trigger: TriggerRecord },
     /// Triggers, from number `first` on, that were fired but whose times are lost for good.
     TriggersMissing { session: SessionId, first: i64, count: u64 },

@@ -72,8 +72,8 @@ struct Asking {
     next_id: u32,
 }
 
-/// A link to the unit over a byte stream. [`Hsu`](super::Hsu) makes and owns it. One request at a time is under way, and
-/// each is answered or fails within its patience. Dropping the link ends the reading thread.
+/// A link to the unit over a byte stream. [`Hsu`](super::Hsu) makes and owns it. One request at a time is under way,
+/// and each is answered or fails within its patience. Dropping the link ends the reading thread.
 pub struct Link {
     device: String,
     asking: Mutex<Asking>,
@@ -89,8 +89,8 @@ impl std::fmt::Debug for Link {
 
 impl Link {
     /// Starts reading. `device` names the stream in errors. `reader` must return `TimedOut`, `WouldBlock` or
-    /// `Interrupted` now and then when nothing comes, or the link cannot be closed. `on_message` gets every message that
-    /// is not an answer, in order, on the reading thread; it must not send requests itself.
+    /// `Interrupted` now and then when nothing comes, or the link cannot be closed. `on_message` gets every message
+    /// that is not an answer, in order, on the reading thread; it must not send requests itself.
     pub fn start(
         device: &str,
         reader: impl Read + Send + 'static,

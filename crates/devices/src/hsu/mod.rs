@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The serial link to the hardware synchronization unit.
 //!
-//! Without an HSU, [`action`] takes its place in this process: the same state machine, whose triggers are action commands over
-//! the network. [`TriggerUnit`] is one or the other.
+//! Without an HSU, [`action`] takes its place in this process: the same state machine, whose triggers are action
+//! commands over the network. [`TriggerUnit`] is one or the other.
 //!
 //! [`Hsu`] is the unit as this node sees it: blocking commands, each answered or refused, and a stream of
-//! [`HsuEvent`]s. Below it, [`link`] does framing, request ids, timeouts and retries over any byte stream,
-//! and `order` puts the trigger telemetry back into a gapless sequence. The wire contract is the crate
+//! [`HsuEvent`]s. Below it, [`link`] does framing, request ids, timeouts and retries over any byte stream, and
+//! `order` puts the trigger telemetry back into a gapless sequence. The wire contract is the crate
 //! `hsu-firmware-proto`; its reasons are in `docs/design/hsu-protocol.md`.
 
 pub mod action;

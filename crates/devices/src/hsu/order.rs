@@ -185,8 +185,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the line loses, and whatever the unit has forgotten when triggers are requested again: each trigger is
-        /// accounted for once, in order, and the end comes last.
+        /// Whatever the line loses, and whatever the unit has forgotten when triggers are requested again: each
+        /// trigger is accounted for once, in order, and the end comes last.
         #[test]
         fn every_trigger_is_accounted_for_once_in_order(
             lost in prop::collection::vec(any::<bool>(), 40),

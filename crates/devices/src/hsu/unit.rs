@@ -63,9 +63,9 @@ pub struct HeardTimeCodes {
     pub codes: TimeCodeFrames,
 }
 
-/// A connected HSU, as this node sees it. [`TriggerUnit::connect`](super::TriggerUnit::connect) makes it, and the node owns it.
-/// Each command is answered, refused or timed out; events come once and in order. Dropping it sends a goodbye and closes the
-/// device.
+/// A connected HSU, as this node sees it. [`TriggerUnit::connect`](super::TriggerUnit::connect) makes it, and the
+/// node owns it. Each command is answered, refused or timed out; events come once and in order. Dropping it sends a
+/// goodbye and closes the device.
 #[derive(Debug)]
 pub struct Hsu {
     conversation: Arc<Conversation>,
@@ -168,8 +168,8 @@ impl Hsu {
         self.command("arming", Request::Arm(wire))
     }
 
-    /// Takes up the triggers of a session that another connection has armed, from number `next` on; triggers that were fired
-    /// in the meantime are requested.
+    /// Takes up the triggers of a session that another connection has armed, from number `next` on; triggers that
+    /// were fired in the meantime are requested.
     pub fn resume(&self, session: SessionId, next: i64) {
         self.conversation.feed.begin(session, next);
     }

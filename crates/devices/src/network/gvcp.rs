@@ -99,8 +99,8 @@ pub fn reply(datagram: &[u8], id: u16) -> Option<Reply> {
     }
 }
 
-/// Receives datagrams until `until`, or until `take` accepts one. Reports of the network that a packet did not reach its
-/// host are skipped: the answer that is waited for may still come.
+/// Receives datagrams until `until`, or until `take` accepts one. Reports of the network that a packet did not reach
+/// its host are skipped: the answer that is waited for may still come.
 pub fn receive_until<T>(
     socket: &UdpSocket,
     until: Instant,

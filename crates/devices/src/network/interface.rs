@@ -106,8 +106,8 @@ pub fn interfaces() -> Vec<Interface> {
     addresses().into_iter().map(|(name, subnets)| Interface::describe(&name, subnets)).collect()
 }
 
-/// Names of interfaces without a link, from the directory `sys` (`/sys`): an unplugged cable, a switch without power, or an
-/// interface that is down. Such an interface often has no addresses and routes, so that it shows nowhere else.
+/// Names of interfaces without a link, from the directory `sys` (`/sys`): an unplugged cable, a switch without power,
+/// or an interface that is down. Such an interface often has no addresses and routes, so that it shows nowhere else.
 pub fn without_link(sys: &Path) -> Vec<String> {
     let state = |path: &Path| std::fs::read_to_string(path.join("operstate")).unwrap_or_default();
     let entries = std::fs::read_dir(sys.join("class/net")).into_iter().flatten().flatten();
@@ -156,7 +156,8 @@ fn addresses() -> BTreeMap<String, Vec<Subnet>> {
     found
 }
 
-/// Pairs of interfaces in one subnet: the system sends through one of them, even where a camera is connected to the other.
+/// Pairs of interfaces in one subnet: the system sends through one of them, even where a camera is connected to the
+/// other.
 pub fn shared_subnets(interfaces: &[Interface]) -> Vec<(Subnet, &str, &str)> {
     let mut pairs = Vec::new();
     for (i, one) in interfaces.iter().enumerate() {

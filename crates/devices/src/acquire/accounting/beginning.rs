@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The beginning of a session: frames that come before anything is triggered, and cameras whose place in the train is not
-//! known after the warm-up.
+//! The beginning of a session: frames that come before anything is triggered, and cameras whose place in the train is
+//! not known after the warm-up.
 
 use super::Accounting;
 use crate::acquire::commands::RecorderEvent;
@@ -9,8 +9,8 @@ use std::collections::VecDeque;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-/// Time after trigger 0 by which every camera's place in the train must be known, in periods and at least: a host may stand
-/// still for 300 ms.
+/// Time after trigger 0 by which every camera's place in the train must be known, in periods and at least: a host may
+/// stand still for 300 ms.
 const PATIENCE: (u32, Duration) = (12, Duration::from_millis(400));
 /// Frames without a report of any trigger that show a missing link to the HSU; fewer may be chance.
 const UNREPORTED: u64 = 3;
@@ -38,7 +38,8 @@ impl Beginning {
 }
 
 impl Accounting {
-    /// Nothing was triggered before this time: earlier frames belong to no trigger, and block ids count from behind them.
+    /// Nothing was triggered before this time: earlier frames belong to no trigger, and block ids count from behind
+    /// them.
     pub(super) fn silent_until(&mut self, host_ns: u64) {
         (self.beginning.silent_until, self.beginning.early) = (host_ns, 0);
         for camera in 0..self.lanes.len() {
@@ -53,13 +54,15 @@ impl Accounting {
     /// Reports a frame that a camera had left over, and sent when its acquisition started.
     pub(super) fn stray(&mut self, arrival: &Arrival) {
         let text = format!(
-            "block {} came at the start of the acquisition, when nothing had been triggered: a stray frame; not recorded",
+            "block {} came at the start of the acquisition, when nothing had been triggered: a stray frame; not \
+             recorded",
             arrival.block_id
         );
         self.note(arrival.camera, "stray_frame", None, text);
     }
 
-    /// Reports the cameras whose place in the train is not known when the warm-up is over, and each one later when it is.
+    /// Reports the cameras whose place in the train is not known when the warm-up is over, and each one later when it
+    /// is.
     pub(super) fn look_at_places(&mut self) {
         if self.draining {
             return;
@@ -104,14 +107,16 @@ impl Accounting {
         let frames = self.progress.received.get(camera).map_or(0, |count| count.load(Ordering::Relaxed));
         let reports = self.beginning.reports;
         if self.table.is_empty() {
-            return "frames come, but the HSU has reported no trigger: check the serial link to the HSU, and what else drives the \
-                    trigger line"
+            return "frames come, but the HSU has reported no trigger: check the serial link to the HSU, and what \
+                    else drives the trigger line"
                 .to_owned();
         }
         let remedy = match (frames, reports) {
-            (0, _) => "no frame has come from it; check its trigger line, and raise warm_up_triggers in the rig file if it \
-                       needs longer to wake up"
-                .to_owned(),
+            (0, _) => {
+                "no frame has come from it; check its trigger line, and raise warm_up_triggers in the rig file if \
+                 it needs longer to wake up"
+                    .to_owned()
+            }
             (_, 0) => "no report of the warm-up has come; check the serial link to the HSU".to_owned(),
             _ => format!(
                 "{reports} reports of the warm-up and {frames} frames have come so far; check the link to the HSU, or \
@@ -119,7 +124,8 @@ impl Accounting {
             ),
         };
         format!(
-            "the warm-up is over, and which triggers its frames are of is not known: {remedy}; they are given up until it is"
+            "the warm-up is over, and which triggers its frames are of is not known: {remedy}; they are given up \
+             until it is"
         )
     }
 }

@@ -5,10 +5,10 @@ use super::{Accounting, sighting};
 use crate::matcher::Sighting;
 
 impl Accounting {
-    /// Infers a trigger whose report is held up, where cameras agree on its number and its time. A camera that ignored
-    /// triggers, or whose clock was set, is alone with its claim. Two may have ignored equally many triggers: so for each
-    /// camera that contradicts, more than two must agree; and where frames of others may still come (`early`), all other
-    /// cameras must have sent a frame of this time or later.
+    /// Infers a trigger whose report is held up, where cameras agree on its number and its time. A camera that
+    /// ignored triggers, or whose clock was set, is alone with its claim. Two may have ignored equally many triggers:
+    /// so for each camera that contradicts, more than two must agree; and where frames of others may still come
+    /// (`early`), all other cameras must have sent a frame of this time or later.
     pub(super) fn infer_trigger(&mut self, camera: usize, seen: &Sighting, early: bool) {
         let Some((number, hsu_ns)) = self.lanes[camera].matcher.claim(seen) else { return };
         if self.table.is_heard(number) || self.table.is_agreed(number) {

@@ -6,9 +6,9 @@ use crate::record::GapCause;
 use std::ops::Range;
 
 impl Lane {
-    /// Causes of the triggers before a frame that have no frame: frames that came and were given up, `ignored` triggers, and
-    /// `cause` for the rest. A frame that was given up belongs to the trigger of its block id or, where the frame now shows
-    /// that triggers were ignored, to the trigger of its clock.
+    /// Causes of the triggers before a frame that have no frame: frames that came and were given up, `ignored`
+    /// triggers, and `cause` for the rest. A frame that was given up belongs to the trigger of its block id or, where
+    /// the frame now shows that triggers were ignored, to the trigger of its clock.
     pub(super) fn skipped(&mut self, triggers: Range<u64>, cause: GapCause, ignored: u64) -> Vec<GapCause> {
         let given_up = std::mem::take(&mut self.given_up_now) as usize;
         let shown: Vec<(u64, Option<u64>)> = self.given_up_at.drain(..).collect();
@@ -26,8 +26,8 @@ impl Lane {
         let free = |causes: &[GapCause]| -> Vec<usize> {
             (0..causes.len()).filter(|place| causes[*place] != GapCause::IdentityMismatch).collect()
         };
-        // The order of lost and ignored triggers is not known: lost ones are placed first. A camera that woke late ignored
-        // its first triggers, and so did one whose frames were given up because it ignored some.
+        // The order of lost and ignored triggers is not known: lost ones are placed first. A camera that woke late
+        // ignored its first triggers, and so did one whose frames were given up because it ignored some.
         let came = given_up.saturating_sub(placed);
         let mut open = free(&causes);
         // A trigger whose frame came was not ignored.

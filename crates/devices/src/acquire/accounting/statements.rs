@@ -12,7 +12,8 @@ use crate::record::{NodeEvent, UNCONFIRMED};
 
 /// Texts name blocks, not triggers: an event has its trigger in a field, whose count may still change with Record.
 impl Accounting {
-    /// Reports the frames that were lost before a frame, and the triggers that its camera ignored: their number and the first.
+    /// Reports the frames that were lost before a frame, and the triggers that its camera ignored: their number and
+    /// the first.
     pub(super) fn report_skipped(
         &mut self,
         camera: usize,
@@ -43,17 +44,17 @@ impl Accounting {
             }
             Some(Finding::ClockReset(step)) => (
                 "camera_clock_reset",
-                format!(
-                    "its clock was set anew, by {step} ns, from block {block} on: frames behind it agree"
-                ),
+                format!("its clock jumped by {step} ns at block {block}; the frames behind it agree"),
             ),
             Some(Finding::StampWrong(Some(by))) => (
                 "stamp_wrong",
-                format!("the timestamp of block {block} is {by} ns off; its id and arrival are not"),
+                format!(
+                    "the timestamp of block {block} is {by} ns off; its block id and arrival agree on the trigger"
+                ),
             ),
             Some(Finding::StampWrong(None)) => (
                 "stamp_wrong",
-                format!("block {block} has no timestamp; its id and arrival name its trigger"),
+                format!("block {block} has no timestamp; its block id and arrival agree on the trigger"),
             ),
         };
         self.note(camera, kind, u64::try_from(matched.number).ok(), text);
@@ -114,7 +115,8 @@ impl Accounting {
         }
         if lane.given_up == 1 {
             let text = format!(
-                "block {}: no two of counter, clock and arrival agree on a trigger that was reported; not recorded (later \
+                "block {}: no two of counter, clock and arrival agree on a trigger that was reported; not recorded \
+                 (later \
                  ones are counted)",
                 arrival.block_id
             );

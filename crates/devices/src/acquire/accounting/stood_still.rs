@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Pauses of the process or of a thread of the pixel path: what was lost is given up by whole frame sets, and the recorded
-//! cause is the host, not the disk.
+//! Pauses of the process or of a thread of the pixel path: what was lost is given up by whole frame sets, and the
+//! recorded cause is the host, not the disk.
 
 use super::{Accounting, LONGEST_TURN};
 use crate::acquire::pause::Pauses;
@@ -37,8 +37,8 @@ impl Accounting {
         }
     }
 
-    /// Enters a pause of this length that ends now. Any camera may have lost frames of the triggers concerned, so sets of them
-    /// that are not complete are given up.
+    /// Enters a pause of this length that ends now. Any camera may have lost frames of the triggers concerned, so
+    /// sets of them that are not complete are given up.
     pub(in crate::acquire) fn paused(&mut self, took: Duration, why: &str, now_ns: u64) {
         if self.draining {
             return;

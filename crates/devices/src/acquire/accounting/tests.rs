@@ -156,7 +156,8 @@ impl Desk {
     }
 }
 
-/// Frames of two cameras that came before anything was triggered: of one before the recorder knew that, of the other behind.
+/// Frames of two cameras that came before anything was triggered: of one before the recorder knew that, of the other
+/// behind.
 #[test]
 fn what_came_before_the_silence_is_nobodys_and_ids_count_from_behind_it() {
     let mut desk = Desk::new(2);
@@ -177,8 +178,8 @@ fn what_came_before_the_silence_is_nobodys_and_ids_count_from_behind_it() {
     }
 }
 
-/// The process stood still until some 40 ms after trigger 0, and its first report came later: camera 1 has lost a frame of
-/// that time, and one long after it.
+/// The process stood still until some 40 ms after trigger 0, and its first report came later: camera 1 has lost a
+/// frame of that time, and one long after it.
 #[test]
 fn a_pause_before_the_first_report_breaks_whole_sets() {
     let mut desk = Desk::new(2);
@@ -315,8 +316,8 @@ fn one_camera_gives_up_what_it_cannot_tell() {
     }
 }
 
-/// The link is lost at trigger 40 and back at 60: the report of 60 is there before those that were missed, and the train was
-/// late meanwhile.
+/// The link is lost at trigger 40 and back at 60: the report of 60 is there before those that were missed, and the
+/// train was late meanwhile.
 #[test]
 fn two_cameras_stand_in_for_reports_that_are_still_missing_when_the_link_is_back() {
     let mut desk = Desk::new(2);
@@ -343,8 +344,8 @@ fn two_cameras_stand_in_for_reports_that_are_still_missing_when_the_link_is_back
     }
 }
 
-/// The serial line is slow now in one direction, now in the other, and then silent for five seconds: the HSU's clock is known
-/// less well than the later timestamps of the cameras.
+/// The serial line is slow now in one direction, now in the other, and then silent for five seconds: the HSU's clock
+/// is known less well than the later timestamps of the cameras.
 #[test]
 fn a_link_that_is_silent_for_seconds_costs_no_frame() {
     let mut desk = Desk::new(2);
@@ -378,8 +379,8 @@ fn a_link_that_is_silent_for_seconds_costs_no_frame() {
     }
 }
 
-/// While reports are held up, frames of one trigger arrive nearly a period late: those behind them are in time, though their
-/// triggers are not reported either.
+/// While reports are held up, frames of one trigger arrive nearly a period late: those behind them are in time,
+/// though their triggers are not reported either.
 #[test]
 fn a_frame_that_comes_late_while_reports_are_held_up_costs_nothing() {
     let mut desk = Desk::new(2);
@@ -403,8 +404,8 @@ fn a_frame_that_comes_late_while_reports_are_held_up_costs_nothing() {
     }
 }
 
-/// While reports are held up, two of four cameras ignore a trigger each, and the others lose frames just then: that the two
-/// agree with each other files none of their frames one trigger too early.
+/// While reports are held up, two of four cameras ignore a trigger each, and the others lose frames just then: that
+/// the two agree with each other files none of their frames one trigger too early.
 #[test]
 fn two_cameras_that_ignored_as_many_triggers_are_not_believed() {
     let mut desk = Desk::new(4);
@@ -436,8 +437,8 @@ fn two_cameras_that_ignored_as_many_triggers_are_not_believed() {
     assert!(kept >= 280, "{kept}");
 }
 
-/// A camera without timestamps is placed by the rhythm of its warm-up. The reports of that come late, when frames behind it
-/// are there: these came in fits and starts, which takes nothing from the rhythm before them.
+/// A camera without timestamps is placed by the rhythm of its warm-up. The reports of that come late, when frames
+/// behind it are there: these came in fits and starts, which takes nothing from the rhythm before them.
 #[test]
 fn a_host_that_is_busy_behind_the_warm_up_hides_no_rhythm() {
     let mut desk = Desk::warming_up(1, 8);
@@ -491,8 +492,8 @@ fn one_absurd_timestamp_does_not_hide_what_the_frames_around_it_show() {
     }
 }
 
-/// Both cameras' ids jump by one at trigger 42 while the reports of 40 to 59 are held up: they agree, and are wrong. But no
-/// train fires a trigger before its time.
+/// Both cameras' ids jump by one at trigger 42 while the reports of 40 to 59 are held up: they agree, and are wrong.
+/// But no train fires a trigger before its time.
 #[test]
 fn cameras_that_agree_on_a_trigger_before_its_time_are_not_believed() {
     let mut desk = Desk::new(2);

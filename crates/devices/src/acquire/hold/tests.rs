@@ -71,8 +71,8 @@ fn frames_in(hold: &Hold) -> usize {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
-    /// What is recorded is what an ordinary session would have recorded from the named trigger on, counted from it, as far
-    /// as it is held; and memory stays within its bound.
+    /// What is recorded is what an ordinary session would have recorded from the named trigger on, counted from it,
+    /// as far as it is held; and memory stays within its bound.
     #[test]
     fn the_recording_begins_where_record_says(
         most in 1_u64..12,
@@ -128,7 +128,8 @@ proptest! {
     }
 }
 
-/// A stream's beginning is found in the recording as in any other: its warm-up has numbers before those of the recording.
+/// A stream's beginning is found in the recording as in any other: its warm-up has numbers before those of the
+/// recording.
 #[test]
 fn the_warm_up_keeps_its_distance_to_the_recording() {
     let mut hold = Hold::new(5);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Calls of Aravis whose bindings trust the camera, with checks.
 //!
-//! The bindings end the process where Aravis gives a null text without an error (an enumeration whose register matches none
-//! of its entries), and where a text is not UTF-8. They use numbers that Aravis may have left unwritten. Here a null text is
-//! `None`, and texts of any bytes are converted.
+//! The bindings end the process where Aravis gives a null text without an error (an enumeration whose register
+//! matches none of its entries), and where a text is not UTF-8. They use numbers that Aravis may have left unwritten.
+//! Here a null text is `None`, and texts of any bytes are converted.
 
 use crate::camera::contract::ImageForm;
 use glib::ffi::{GError, GSList};

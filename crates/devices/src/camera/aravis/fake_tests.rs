@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Aravis' own fake camera through this backend. It is no GigE Vision camera, as USB3 Vision cameras are none: no packets,
-//! no registers with its controller. Other differences of USB3 cameras have not been tested.
+//! Aravis' own fake camera through this backend. It is no GigE Vision camera, as USB3 Vision cameras are none: no
+//! packets, no registers with its controller. Other differences of USB3 cameras have not been tested.
 
 use super::AravisCameras;
 use crate::camera::profile::tests::wishes;

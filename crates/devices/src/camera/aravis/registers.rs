@@ -50,8 +50,8 @@ impl AravisCamera {
         }
     }
 
-    /// The packet size that the camera made of the requested one; `None` for other transports. Aravis divides a frame by
-    /// the payload of a packet, and would end the process where nothing is left beside the headers.
+    /// The packet size that the camera made of the requested one; `None` for other transports. Aravis divides a frame
+    /// by the payload of a packet, and would end the process where nothing is left beside the headers.
     pub(super) fn packet_bytes(&self) -> Result<Option<usize>, CameraError> {
         const DOING: &str = "reading the packet size";
         let Some(gv) = self.device.downcast_ref::<aravis::GvDevice>() else { return Ok(None) };

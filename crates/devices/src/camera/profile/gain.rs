@@ -30,8 +30,8 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
         Amount::Near { scale, .. } => near(0.0, scale.clone()),
         _ => Amount::Least,
     };
-    // One gain for everything; else the analog one carries it all. The others add nothing, where the value that adds nothing
-    // is known. Gains of taps balance halves of the sensor, and stay.
+    // One gain for everything; else the analog one carries it all. The others add nothing, where the value that adds
+    // nothing is known. Gains of taps balance halves of the sensor, and stay.
     let whole = entries.iter().find(|entry| plain(entry) == "all").cloned();
     match whole {
         Some(entry) => {
@@ -94,8 +94,10 @@ fn in_steps(name: &str) -> Trouble {
     Trouble::new(
         name,
         format!(
-            "the camera counts its gain in steps ({name}) and does not state how many decibels one has: set gain_db = 0.0 \
-             for the least gain, or left_to_settings = [\"gain_db\"] and [\"{name}\", STEPS] in `settings`, expected no other \
+            "the camera counts its gain in steps ({name}) and does not state how many decibels one has: set gain_db = \
+             0.0 \
+             for the least gain, or left_to_settings = [\"gain_db\"] and [\"{name}\", STEPS] in `settings`, expected \
+             no other \
              gain_db"
         ),
     )

@@ -51,7 +51,8 @@ fn pixel_format(camera: &dyn Description, wishes: &Wishes) -> Result<((String, P
         let remedy = match wishes.words.pixel {
             Some(_) => "set pixel to one that it has, or leave it out",
             None if has_mosaic => {
-                "a session records grey alone: set pixel = \"bayer8\" to take the plane of the head's colour, at half the size"
+                "a session records grey alone: set pixel = \"bayer8\" to take the plane of the head's colour, at half \
+                 the size"
             }
             None => "a session records grey alone: use a camera that sends it",
         };

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Requirements on every camera, independent of the last user: automatic functions, corrections and image processing off.
+//! Requirements on every camera, independent of the last user: automatic functions, corrections and image processing
+//! off.
 
 use super::plan::{Trouble, Wishes};
 use super::trigger::is_delay;

@@ -46,7 +46,8 @@ pub(crate) fn made(text: &str) -> Made {
 
 /// The features that most cameras have.
 const USUAL: &str = "PixelFormat=Mono8,Mono12 Width:int Height:int OffsetX:int OffsetY:int ExposureTime:float:us \
-                     Gain:float:dB TriggerMode=Off,On TriggerSource=Line0,Software TriggerActivation=RisingEdge,FallingEdge \
+                     Gain:float:dB TriggerMode=Off,On TriggerSource=Line0,Software \
+                     TriggerActivation=RisingEdge,FallingEdge \
                      TriggerSelector=FrameStart,AcquisitionStart AcquisitionMode=Continuous,SingleFrame";
 
 fn usual(changes: &[(&str, &str)]) -> Made {
@@ -169,7 +170,8 @@ fn an_ordinary_camera_is_set_in_an_order_that_locks_nothing() {
     assert_eq!(
         short(&resolve(&usual(&[]), &wishes())),
         "PixelFormat=Mono8 OffsetX=0 OffsetY=0 Width=1920 Height=1200 ExposureTime=1000 Gain=0 \
-         TriggerSelector=AcquisitionStart TriggerMode=Off TriggerSelector=FrameStart TriggerMode=Off TriggerSource=Line0 \
+         TriggerSelector=AcquisitionStart TriggerMode=Off TriggerSelector=FrameStart TriggerMode=Off \
+         TriggerSource=Line0 \
          TriggerActivation=RisingEdge TriggerMode=On"
     );
 }
@@ -291,7 +293,8 @@ fn a_line_is_named_or_found_where_there_is_one_alone() {
     assert!(short(&resolve(&sources("ExtTrig,SoftTrigger"), &wishes())).contains("TriggerSource=ExtTrig"));
     assert_eq!(
         trouble(&sources("Line1,Line2,Line3,Software"), &line("Line0")),
-        "`Line0` is not an entry of TriggerSource: Line1, Line2, Line3, Software; set trigger_line = \"Line1\" or another \
+        "`Line0` is not an entry of TriggerSource: Line1, Line2, Line3, Software; set trigger_line = \"Line1\" or \
+         another \
          of them, as the HSU is wired"
     );
     let text = trouble(&sources("Software,Line0,Line1"), &wishes());

@@ -16,8 +16,8 @@ const RAW: &str = "ExposureTimeRaw";
 /// Features that may hold the length of a tick, microseconds.
 const TICKS: [&str; 4] =
     ["ExposureTimeBaseAbs", "ExposureTimebaseAbs", "ExposureTimeBase", "ExposureTimeRawUnit"];
-/// Largest difference between the camera's exposure and the requested one, microseconds, unless the node file has another:
-/// the time of a line of the slowest sensors.
+/// Largest difference between the camera's exposure and the requested one, microseconds, unless the node file has
+/// another: the time of a line of the slowest sensors.
 const TOLERANCE_US: f64 = 20.0;
 
 /// How many of this unit are one microsecond; `None` for a unit that is no time.
@@ -140,8 +140,8 @@ fn limit_rate(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) -> boo
     true
 }
 
-/// The packet delay for "auto", microseconds: each camera leaves room for the packets of the others on a link of 1 Gbit/s, as
-/// far as its frame still fits into nine tenths of a period.
+/// The packet delay for "auto", microseconds: each camera leaves room for the packets of the others on a link of 1
+/// Gbit/s, as far as its frame still fits into nine tenths of a period.
 fn automatic_us(wishes: &Wishes, image_bytes: usize) -> f64 {
     let Wishes { link, .. } = wishes;
     if link.cameras < 2 || link.packet_bytes < 64 {

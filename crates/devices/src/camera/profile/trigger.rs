@@ -13,8 +13,8 @@ pub const FRAME_TRIGGERS: [&str; 7] =
 /// The only trigger of cameras that were designed before triggers of frames existed.
 const BEFORE_FRAMES: &str = "acquisitionstart";
 
-/// Whether the trigger of this name starts a single frame. A camera's only trigger does, whatever its name, unless the name
-/// means the start or end of something else.
+/// Whether the trigger of this name starts a single frame. A camera's only trigger does, whatever its name, unless
+/// the name means the start or end of something else.
 pub fn starts_a_frame(entry: &str, alone: bool) -> bool {
     let name = plain(entry);
     if alone && name == BEFORE_FRAMES {
@@ -64,7 +64,8 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     };
     if let Some(frame) = frame.as_deref().filter(|frame| plain(frame) == BEFORE_FRAMES) {
         plan.remarks.push(format!(
-            "{SELECTOR} has {frame} alone: whether one edge takes one frame, and not a row of them, shows in the warm-up"
+            "{SELECTOR} has {frame} alone: whether one edge takes one frame, and not a row of them, shows in the \
+             warm-up"
         ));
     }
     let selector = camera.feature(SELECTOR).filter(|selector| selector.is_writable());
@@ -109,7 +110,8 @@ fn mode(camera: &dyn Description) -> Result<(String, Option<String>, Option<Stri
         return Err(Trouble::new(
             MODE,
             format!(
-                "the camera has no {MODE}, and how a line makes it take a frame is not known (nearest names: {near}): set \
+                "the camera has no {MODE}, and how a line makes it take a frame is not known (nearest names: {near}): \
+                 set \
                  that up in `settings` and set left_to_settings = [\"{LINE}\"], or use another camera"
             ),
         ));
@@ -178,7 +180,8 @@ fn source(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, Tr
             return Ok(None);
         }
         let message = format!(
-            "the camera has no {SOURCE}, requested `{wanted}`: its trigger comes from one place alone, set {LINE} = \"{AUTO}\""
+            "the camera has no {SOURCE}, requested `{wanted}`: its trigger comes from one place alone, set {LINE} = \
+             \"{AUTO}\""
         );
         return Err(Trouble::new(SOURCE, message));
     };
@@ -260,7 +263,8 @@ fn edge(
     }
     let other = feature.entries.first().map_or("", String::as_str);
     let remedy = format!(
-        "if {other} is the right edge, set [\"{name}\", \"{other}\"] in `settings`, and set left_to_settings = [\"{WORD}\"]"
+        "if {other} is the right edge, set [\"{name}\", \"{other}\"] in `settings`, and set left_to_settings = \
+         [\"{WORD}\"]"
     );
     Err(Trouble::no_entry(name, names[0], &feature, &remedy))
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A known beginning: the acquisition is stopped and the factory settings are loaded. Not every camera reports the end of
-//! the load: the command register of some keeps the number of the user set for ever.
+//! A known beginning: the acquisition is stopped and the factory settings are loaded. Not every camera reports the
+//! end of the load: the command register of some keeps the number of the user set for ever.
 
 use super::values_of;
 use crate::camera::description::list;
@@ -18,7 +18,8 @@ const SETTLES: Duration = Duration::from_millis(700);
 /// Settings that stay the same for this long have settled.
 const STILL: Duration = Duration::from_millis(200);
 
-/// Stops an acquisition that the last user left running, and loads the factory settings. Gives remarks for the operator.
+/// Stops an acquisition that the last user left running, and loads the factory settings. Gives remarks for the
+/// operator.
 pub fn known_state(
     camera: &dyn Features,
     wishes: &Wishes,
@@ -51,7 +52,8 @@ pub fn known_state(
     // The end cannot be read: the settings that it changes are read instead, until nothing changes any more.
     let Some(now) = load.still(wishes)? else {
         problems.push(format!(
-            "{command} is not done after {} s: expected settings that stay, found some that change; wait until the camera \
+            "{command} is not done after {} s: expected settings that stay, found some that change; wait until the \
+             camera \
              has started, or restart it, and check whether another program uses it",
             PATIENCE.as_secs()
         ));
@@ -61,7 +63,8 @@ pub fn known_state(
     let changed: Vec<String> = before.iter().filter(differ).map(|(name, _)| name.clone()).collect();
     let changed = if changed.is_empty() { "nothing that matters".to_owned() } else { list(&changed) };
     Ok(vec![format!(
-        "{command} of {value} never reports that it is done; it changed {changed}, and what matters is set and read after it"
+        "{command} of {value} never reports that it is done; it changed {changed}, and what matters is set and read \
+         after it"
     )])
 }
 
@@ -75,8 +78,8 @@ struct Load<'a> {
 }
 
 impl Load<'_> {
-    /// Whether the camera reports the end in time. A camera that reports nothing gets time to settle. Some cameras refuse
-    /// everything while they load.
+    /// Whether the camera reports the end in time. A camera that reports nothing gets time to settle. Some cameras
+    /// refuse everything while they load.
     fn is_done(&self) -> Result<bool, CameraError> {
         if self.camera.is_done(self.command).is_none() {
             std::thread::sleep(SETTLES);

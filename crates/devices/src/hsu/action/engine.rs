@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The thread in place of the HSU: the unit's state machine, with action commands for wires.
 //!
-//! Its clock is this host's monotonic clock. Scheduled actions are sent some time before their trigger: the state machine
-//! runs ahead by that time, and its reports are held back until the trigger's time has come. So no trigger is reported
-//! before it is fired.
+//! Its clock is this host's monotonic clock. Scheduled actions are sent some time before their trigger: the state
+//! machine runs ahead by that time, and its reports are held back until the trigger's time has come. So no trigger is
+//! reported before it is fired.
 
 use super::ActionSetup;
 use super::pipe::{PipeReader, PipeWriter, pipe};
@@ -152,8 +152,8 @@ impl Engine {
         }
     }
 
-    /// Fires the triggers that are due. A trigger that is sent early enough has exactly its time; one for which this thread was
-    /// too late is moved, and flagged as late.
+    /// Fires the triggers that are due. A trigger that is sent early enough has exactly its time; one for which this
+    /// thread was too late is moved, and flagged as late.
     fn keep_time(&mut self) {
         let now_ns = monotonic_ns(Instant::now());
         let due_ns = self.unit.next_due();

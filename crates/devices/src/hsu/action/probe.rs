@@ -40,7 +40,8 @@ impl ActionSetup {
                 Some(ActionStatus::Taken) => continue,
                 Some(status) => format!("is answered with {status:?}, expected Taken"),
                 None => format!(
-                    "has no answer, {ATTEMPTS} times within {} ms: check ActionDeviceKey, ActionGroupKey and ActionGroupMask \
+                    "has no answer, {ATTEMPTS} times within {} ms: check ActionDeviceKey, ActionGroupKey and \
+                     ActionGroupMask \
                      (also in `settings`), and whether a firewall blocks UDP port {GVCP_PORT}",
                     PATIENCE.as_millis()
                 ),

@@ -4,8 +4,8 @@
 use crate::base::clock_fit::{ClockFit, Exchange};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// A fit of the cameras' clock, shared by the thread that reads it and the one that schedules actions. Host times are those of
-/// [`crate::base::time::monotonic_ns`].
+/// A fit of the cameras' clock, shared by the thread that reads it and the one that schedules actions. Host times are
+/// those of [`crate::base::time::monotonic_ns`].
 #[derive(Debug, Clone, Default)]
 pub struct PtpClock(Arc<Mutex<ClockFit>>);
 

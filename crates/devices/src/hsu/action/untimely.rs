@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Triggers at which a camera did not, or may not have, exposed at the same time as the others.
 //!
-//! A camera reports that a command came late, or refuses it; or its clock is not synchronized by PTP. Triggers of the warm-up
-//! are left out, because they are not recorded.
+//! A camera reports that a command came late, or refuses it; or its clock is not synchronized by PTP. Triggers of the
+//! warm-up are left out, because they are not recorded.
 
 use crate::network::ActionStatus;
 use crate::record::{TriggerRow, TriggerRows, ptp_keeps};
@@ -37,8 +37,8 @@ impl Untimely {
         add(rows, number, number.saturating_add(1));
     }
 
-    /// Notes the camera's PTP status. `requested` and `now` are the first unexposed triggers when the status was requested and
-    /// when it was received.
+    /// Notes the camera's PTP status. `requested` and `now` are the first unexposed triggers when the status was
+    /// requested and when it was received.
     pub(super) fn ptp(&mut self, status: &str, requested: i64, now: i64) {
         if ptp_keeps(status) {
             if let Some(from) = self.bad_from.take() {
