@@ -209,7 +209,7 @@ fn a_pause_before_the_first_report_breaks_whole_sets() {
 fn a_camera_whose_place_is_not_known_behind_the_warm_up_is_named_once() {
     let mut desk = Desk::warming_up(2, 8);
     let at = |number: i64| (2_000_000_000 + number * PERIOD_NS as i64) as u64;
-    let told = |desk: &Desk| -> Vec<(usize, Option<String>)> {
+    let reported = |desk: &Desk| -> Vec<(usize, Option<String>)> {
         let place = |event| match event {
             RecorderEvent::Place { camera, unknown } => Some((camera, unknown)),
             _ => None,
@@ -220,16 +220,16 @@ fn a_camera_whose_place_is_not_known_behind_the_warm_up_is_named_once() {
         desk.report_numbered(number, at(number));
         desk.frame(0, 0, (number + 9) as u64, at(number));
         match number {
-            ..=4 => assert_eq!(told(&desk), [], "{number}: it may come late"),
+            ..=4 => assert_eq!(reported(&desk), [], "{number}: it may come late"),
             5 => desk.accounting.awake += Duration::from_millis(450),
             6 => {
-                let places = told(&desk);
+                let places = reported(&desk);
                 assert_eq!(places.len(), 1, "{places:?}");
                 let (camera, why) = &places[0];
                 assert_eq!(*camera, 1);
                 assert!(why.as_ref().is_some_and(|why| why.contains("no frame has come")), "{why:?}");
             }
-            _ => assert_eq!(told(&desk), [], "{number}: once"),
+            _ => assert_eq!(reported(&desk), [], "{number}: once"),
         }
     }
 }

@@ -72,7 +72,7 @@ pub(crate) fn wishes() -> Wishes {
     }
 }
 
-fn said(change: impl FnOnce(&mut CameraWords)) -> Wishes {
+fn stated(change: impl FnOnce(&mut CameraWords)) -> Wishes {
     let mut wishes = wishes();
     change(&mut wishes.words);
     wishes
@@ -155,14 +155,14 @@ fn a_camera_without_actions_keys_or_ptp_is_refused_by_name() {
     };
     let keys = "ActionDeviceKey:int ActionGroupKey:int ActionGroupMask:int";
     let source = ("TriggerSource", "TriggerSource=Line1,Action1");
-    let told = troubles(&[("", keys)], false);
+    let found = troubles(&[("", keys)], false);
     assert!(
-        told.len() == 1 && told[0].contains("`Action0` is not an entry of TriggerSource: Line0, Software")
+        found.len() == 1 && found[0].contains("`Action0` is not an entry of TriggerSource: Line0, Software")
     );
-    let told = troubles(&[source], false);
-    assert!(told.len() == 3 && told[0].starts_with("the camera has no ActionDeviceKey"), "{told:?}");
-    let told = troubles(&[source, ("", keys)], true);
-    assert!(told.len() == 1 && told[0].contains("set trigger.ptp = false"), "{told:?}");
+    let found = troubles(&[source], false);
+    assert!(found.len() == 3 && found[0].starts_with("the camera has no ActionDeviceKey"), "{found:?}");
+    let found = troubles(&[source, ("", keys)], true);
+    assert!(found.len() == 1 && found[0].contains("set trigger.ptp = false"), "{found:?}");
 }
 
 #[test]
@@ -229,10 +229,10 @@ fn gains_of_all_standards_are_found() {
             "GainSelector=DigitalAll Gain=0 GainSelector=AnalogAll Gain=6 GainSelector=AnalogAll Gain=6",
         ),
     ] {
-        let plan = short(&resolve(&usual(&[("Gain", has)]), &said(|words| words.gain_db = Some(db))));
+        let plan = short(&resolve(&usual(&[("Gain", has)]), &stated(|words| words.gain_db = Some(db))));
         assert!(plan.contains(&format!(" {expected} ")), "{has}: {plan}");
     }
-    let six = said(|words| words.gain_db = Some(6.0));
+    let six = stated(|words| words.gain_db = Some(6.0));
     assert!(trouble(&usual(&[("Gain", "GainRaw:int")]), &six).contains("steps"));
     assert!(trouble(&usual(&[("Gain", "GainRaw:float")]), &six).contains("steps"));
     assert!(trouble(&usual(&[("Gain", "Width:int")]), &six).contains("is its gain"));
@@ -287,7 +287,7 @@ fn the_trigger_that_starts_a_frame_is_found_and_the_others_are_off() {
 #[test]
 fn a_line_is_named_or_found_where_there_is_one_alone() {
     let sources = |entries: &str| usual(&[("TriggerSource", &format!("TriggerSource={entries}"))]);
-    let line = |name: &str| said(|words| words.trigger_line = Some(name.to_owned()));
+    let line = |name: &str| stated(|words| words.trigger_line = Some(name.to_owned()));
     let plan = short(&resolve(&sources("Software,Line1,Line2"), &line("Line 2")));
     assert!(plan.contains("TriggerSource=Line2 "), "{plan}");
     assert!(short(&resolve(&sources("ExtTrig,SoftTrigger"), &wishes())).contains("TriggerSource=ExtTrig"));
@@ -311,8 +311,8 @@ fn a_line_is_named_or_found_where_there_is_one_alone() {
 }
 
 #[test]
-fn edges_and_overlap_are_said_in_the_cameras_words() {
-    let falling = said(|words| words.trigger_edge = Some(Edge::Falling));
+fn edges_and_overlap_are_set_by_the_cameras_names() {
+    let falling = stated(|words| words.trigger_edge = Some(Edge::Falling));
     assert!(short(&resolve(&usual(&[]), &falling)).contains("TriggerActivation=FallingEdge"));
     let none = usual(&[("TriggerActivation", "TriggerActivation=None")]);
     let plan = resolve(&none, &wishes());
@@ -329,7 +329,7 @@ fn edges_and_overlap_are_said_in_the_cameras_words() {
     ] {
         let made = usual(&[("TriggerOverlap", has)]);
         assert!(short(&resolve(&made, &wishes())).contains(expected), "{has}");
-        let plain = said(|words| words.overlap = Some(false));
+        let plain = stated(|words| words.overlap = Some(false));
         let off = format!("{}=Off", expected.split('=').next().expect("a name"));
         assert!(short(&resolve(&made, &plain)).contains(&off), "{has}");
     }
@@ -355,7 +355,7 @@ fn images_that_are_not_grey_or_do_not_fit_are_refused_by_name() {
     let old =
         usual(&[("PixelFormat", "PixelFormat=Mono8,Mono16!ro PixelCoding=Mono,Raw PixelSize=Bpp8,Bpp16")]);
     assert!(short(&resolve(&old, &wishes())).starts_with("PixelCoding=Mono PixelSize=Bpp8"));
-    let fixed = |pixel| said(|words| words.pixel = Some(pixel));
+    let fixed = |pixel| stated(|words| words.pixel = Some(pixel));
     let old = "PixelFormat=Mono8,Mono12Packed!ro PixelCoding=Mono,MonoPacked PixelSize=Bpp8,Bpp12";
     let plan = resolve(&usual(&[("PixelFormat", old)]), &fixed(Pixel::Mono12Packed));
     assert!(short(&plan).starts_with("PixelCoding=MonoPacked PixelSize=Bpp12"), "{}", short(&plan));
@@ -375,7 +375,7 @@ fn deeper_grey_is_taken_where_it_is_named_or_where_there_is_no_8_bits() {
     assert_eq!(chosen("Mono16,Mono14", &auto), "Mono14");
     let odd = Wishes { size: (1922, 1200), ..wishes() };
     assert_eq!(chosen("Mono16,Mono12p,Mono10p", &odd), "Mono12p");
-    let named = |pixel| said(|words| words.pixel = Some(pixel));
+    let named = |pixel| stated(|words| words.pixel = Some(pixel));
     assert_eq!(chosen("Mono8,Mono12p", &named(Pixel::Mono12p)), "Mono12p");
     let text = trouble(&has("Mono8,Mono12p"), &named(Pixel::Mono16));
     assert!(text.contains("`Mono16` is not an entry of PixelFormat: Mono8, Mono12p; set pixel"), "{text}");
@@ -401,7 +401,7 @@ fn deeper_grey_is_taken_where_it_is_named_or_where_there_is_no_8_bits() {
 
 #[test]
 fn packet_delays_are_counted_as_the_camera_counts() {
-    let delay = |delay| said(|words| words.packet_delay = Some(delay));
+    let delay = |delay| stated(|words| words.packet_delay = Some(delay));
     let five = delay(PacketDelay::Microseconds(5.0));
     let with = |has: &str| usual(&[("GevSCPD", has)]);
     assert!(short(&resolve(&with("GevSCPD:int"), &five)).contains("GevSCPD=5us-in-ticks"));

@@ -247,7 +247,7 @@ fn problems(outcome: Result<SetUp, CameraError>) -> Vec<String> {
 }
 
 #[test]
-fn what_the_last_user_left_is_mended_and_told() {
+fn what_the_last_user_left_is_mended_with_a_remark() {
     let fake = Fake::new();
     let done = set_up(&fake, &wanted()).expect("set up");
     for (feature, expected) in [
@@ -269,11 +269,11 @@ fn what_the_last_user_left_is_mended_and_told() {
     }
     fake.set_text("TriggerSelector", "AcquisitionStart").expect("settable");
     assert_eq!(fake.has_now("TriggerMode"), text("Off"), "one trigger alone is on");
-    let told = done.remarks.join("; ");
+    let remarks = done.remarks.join("; ");
     for words in
         ["ExposureAuto was Continuous and is set to Off", "GammaEnable was true", "ReverseX was true"]
     {
-        assert!(told.contains(words), "{told}");
+        assert!(remarks.contains(words), "{remarks}");
     }
     assert_eq!((done.contract.size, done.contract.offset), ((1920, 1200), (0, 0)));
     // A camera that is set already gets no remark.
@@ -300,7 +300,7 @@ fn settings_of_delivery_are_loaded_first() {
     let done = set_up(&fake, &wanted()).expect("set up");
     assert_eq!(fake.has_now("UserSetSelector"), text("Default"));
     assert!(
-        !done.remarks.iter().any(|told| told.contains("Auto") || told.contains("Gamma")),
+        !done.remarks.iter().any(|remarks| remarks.contains("Auto") || remarks.contains("Gamma")),
         "{:?}",
         done.remarks
     );
@@ -315,12 +315,16 @@ fn fixed(feature: &str, form: &str, value: FeatureValue) -> Fake {
 }
 
 #[test]
-fn deeper_grey_is_told_and_its_lower_byte_must_come_first() {
+fn deeper_grey_gets_a_remark_and_its_lower_byte_must_come_first() {
     let mut twelve = wanted();
     twelve.words.pixel = Some(Pixel::Mono12);
     let done = set_up(&Fake::new(), &twelve).expect("set up");
     assert_eq!((done.contract.pixel, done.contract.received_bytes()), (Pixel::Mono12, 2 * 1920 * 1200));
-    assert!(done.remarks.iter().any(|told| told.contains("the lower 4 are lost")), "{:?}", done.remarks);
+    assert!(
+        done.remarks.iter().any(|remarks| remarks.contains("the lower 4 are lost")),
+        "{:?}",
+        done.remarks
+    );
     // A format that raw settings name is used as it is.
     let mut left = wanted();
     left.words.left_to_settings = vec!["pixel".to_owned()];
@@ -347,11 +351,11 @@ fn a_plane_of_colour_is_half_as_large_and_the_calibrations_pixels_are_named() {
         let done = set_up(&mosaic(format), &plane).expect("set up");
         assert_eq!((done.contract.size, done.contract.sent_size()), ((960, 600), (1920, 1200)));
         assert_eq!((done.contract.pixel.name(), done.contract.place), (format, place));
-        let told = done.remarks.join("; ");
+        let remarks = done.remarks.join("; ");
         let (u, v) = place;
         let pixels = format!("is pixel (2u + {u}, 2v + {v}) of the camera");
-        assert!(told.contains("recorded, 960 x 600") && told.contains(&pixels), "{told}");
-        assert!(!told.contains("makes grey of several pixels"), "{told}");
+        assert!(remarks.contains("recorded, 960 x 600") && remarks.contains(&pixels), "{remarks}");
+        assert!(!remarks.contains("makes grey of several pixels"), "{remarks}");
     }
     let mut odd = mosaic("BayerRG8");
     odd.made.0.get_mut("OffsetX").expect("there").access = Access::Read;
@@ -366,9 +370,9 @@ fn chunks_that_stay_on_get_room_and_other_bytes_do_not() {
     fake.values.borrow_mut().insert("Appended".to_owned(), FeatureValue::Integer(24));
     let done = set_up(&fake, &wanted()).expect("set up");
     assert_eq!((done.contract.chunk_room, done.contract.received_bytes()), (24, 1920 * 1200 + 24));
-    let told = done.remarks.join("; ");
+    let remarks = done.remarks.join("; ");
     for words in ["ChunkModeActive is true, expected false, and cannot be set", "up to 24 bytes of chunks"] {
-        assert!(told.contains(words), "{told}");
+        assert!(remarks.contains(words), "{remarks}");
     }
     fake.values.borrow_mut().insert("ChunkModeActive".to_owned(), FeatureValue::Flag(false));
     let all = problems(set_up(&fake, &wanted())).join("\n");
@@ -380,7 +384,9 @@ fn an_exposure_is_rounded_within_its_tolerance_and_refused_beyond() {
     let mut fake = Fake::new();
     fake.line_us = 35.0;
     let done = set_up(&fake, &wanted()).expect("1015 is near enough");
-    assert!(done.remarks.iter().any(|told| told.contains("exposure_us = 1000: the camera takes 1015 us")));
+    assert!(
+        done.remarks.iter().any(|remarks| remarks.contains("exposure_us = 1000: the camera takes 1015 us"))
+    );
     let exposure = done.settings.iter().find(|setting| setting.feature == "ExposureTime").expect("set");
     assert_eq!(exposure.actual, FeatureValue::Float(1015.0));
     let mut strict = wanted();
@@ -442,19 +448,19 @@ fn with(features: &str, values: &[(&str, FeatureValue)]) -> Fake {
 }
 
 #[test]
-fn a_load_that_never_says_done_is_settled_read_back_and_told() {
+fn a_load_that_never_reports_its_end_is_settled_and_read_back() {
     // The register may hold 0 for the default set before and after; another number stays there for ever.
     for done in [(Some(false), Some(false)), (Some(true), Some(false))] {
         let mut fake = Fake::new();
         fake.habits.done = Some(done);
         fake.delivery = [("ExposureAuto".to_owned(), text("Off"))].into();
         let set = set_up(&fake, &wanted()).expect("set up");
-        let told = set.remarks.join("; ");
+        let remarks = set.remarks.join("; ");
         assert!(
-            told.contains(
+            remarks.contains(
                 "UserSetLoad of Default never reports that it is done; it changed ExposureAuto, and"
             ),
-            "{told}"
+            "{remarks}"
         );
         assert_eq!(fake.has_now("ExposureTime"), FeatureValue::Float(1000.0));
     }
@@ -466,7 +472,7 @@ fn a_load_that_never_says_done_is_settled_read_back_and_told() {
 }
 
 #[test]
-fn a_status_that_says_in_progress_before_anything_was_begun_says_nothing() {
+fn a_status_in_progress_before_the_load_is_ignored() {
     let fake = with("UserSetLoadStatus=InProgress,Success!ro", &[("UserSetLoadStatus", text("InProgress"))]);
     set_up(&fake, &wanted()).expect("set up");
 }
@@ -535,8 +541,8 @@ fn packet_sizes_are_the_cameras_or_refused_by_name() {
     let size = [("GevSCPSPacketSize", FeatureValue::Integer(1500))];
     let mut fake = with("GevSCPSPacketSize:int", &size);
     fake.habits.packets = Some(8164);
-    let told = set_up(&fake, &wanted()).expect("set up").remarks.join("; ");
-    assert!(told.contains("packet_bytes = 9000: the camera takes 8164 bytes"), "{told}");
+    let remarks = set_up(&fake, &wanted()).expect("set up").remarks.join("; ");
+    assert!(remarks.contains("packet_bytes = 9000: the camera takes 8164 bytes"), "{remarks}");
     fake.habits.packets = Some(0);
     let all = problems(set_up(&fake, &wanted())).join("\n");
     assert!(
@@ -564,10 +570,10 @@ fn triggers_that_come_with_another_model_of_triggers_are_there_once_it_is_chosen
 }
 
 #[test]
-fn a_colour_sensor_that_sends_grey_is_told() {
+fn a_colour_sensor_that_sends_grey_gets_a_remark() {
     let filter = |value: &str| with("PixelColorFilter=None,BayerRG!ro", &[("PixelColorFilter", text(value))]);
-    let told = |fake: &Fake| set_up(fake, &wanted()).expect("set up").remarks.join("; ");
-    assert!(told(&filter("BayerRG")).contains("the sensor sees colours (PixelColorFilter is BayerRG)"));
-    assert!(!told(&filter("None")).contains("colours"));
-    assert!(told(&with("PixelFormat=Mono8,BayerRG8", &[])).contains("PixelFormat also has BayerRG8"));
+    let remarks = |fake: &Fake| set_up(fake, &wanted()).expect("set up").remarks.join("; ");
+    assert!(remarks(&filter("BayerRG")).contains("the sensor sees colours (PixelColorFilter is BayerRG)"));
+    assert!(!remarks(&filter("None")).contains("colours"));
+    assert!(remarks(&with("PixelFormat=Mono8,BayerRG8", &[])).contains("PixelFormat also has BayerRG8"));
 }
