@@ -235,6 +235,9 @@ impl Ring {
     }
 }
 
+/// The writer's thread, which [`Ring::start`] starts. It owns the recording, and writes what the queue brings in
+/// order. It reports its first failure, and still accounts for all that follows. It ends with the end of the session,
+/// whose verdict it reports, or when the queue is dropped.
 struct Writer {
     sink: Box<dyn Sink>,
     inbox: Receiver<ToWriter>,

@@ -54,6 +54,8 @@ fn identity() -> Identity {
     }
 }
 
+/// The thread in place of the HSU. [`start`] makes it; it owns the unit, and ends when the host's end of the pipe is
+/// dropped.
 struct Engine {
     unit: Unit,
     wires: Wires,
