@@ -6,11 +6,7 @@
 use fourdbody_core::{base, config};
 use fourdbody_record::{self as record, host, matcher};
 
-/// Frames from cameras to the writer: receivers, accounting, bounded hand-offs.
 pub mod acquire;
-/// Cameras: settings, and streams through Aravis.
 pub mod camera;
-/// The serial link to the hardware synchronization unit.
 pub mod hsu;
-/// This host's network interfaces, and the cameras that answer on them.
 pub mod network;

@@ -2,7 +2,7 @@
 //! Cameras: settings, and streams of frames into this program's memory.
 //!
 //! Nothing above this layer may assume Ethernet: Aravis drives USB3 Vision cameras through the same calls.
-//! [`aravis`] is the only module that names Aravis and is compiled with the feature of that name.
+//! `aravis.rs` and its folder alone name Aravis, and are compiled with the feature of that name.
 
 #[cfg(feature = "aravis")]
 mod aravis;
@@ -40,7 +40,7 @@ pub use backend::{
 };
 pub use contract::{Breach, Chunks, FrameContract, FrameForm, ImageForm, Payload};
 pub use error::CameraError;
-pub use features::Features;
+pub use features::{Failed, Features};
 pub use profile::Wishes;
 pub use quiet::quiet_stream;
 pub use settings::{AppliedSetting, Change, SetUp, State, differences};
