@@ -85,11 +85,11 @@ pub fn judge_camera(facts: &CameraFacts, load: &Load) -> Vec<Finding> {
     let name = format!("{vendor} {model}, serial number {serial}, at {}, under our control", facts.address);
     let expected = "every setting of the node file to be taken, and frames as a session records them";
     let settings = match &opened.set_up {
-        Ok(SetUp { contract, told, .. }) => {
+        Ok(SetUp { contract, remarks, .. }) => {
             let (width, height) = contract.size;
-            let told: String = told.iter().map(|told| format!("; {told}")).collect();
+            let remarks: String = remarks.iter().map(|remark| format!("; {remark}")).collect();
             check(": settings")
-                .ok(format!("taken and read back, {width} x {height} {}{told}", contract.pixel.name()))
+                .ok(format!("taken and read back, {width} x {height} {}{remarks}", contract.pixel.name()))
         }
         Err(CameraError::SetUp { problems }) => {
             check(": settings").failed(problems.join("; "), expected, "correct the node file as named")
@@ -344,7 +344,7 @@ mod tests {
                         chunk_room: 0,
                     },
                     settings: Vec::new(),
-                    told: Vec::new(),
+                    remarks: Vec::new(),
                     watched: State::new(),
                 }),
                 packet_bytes: Ok(Some(PacketTest { arrived: 9000, camera_takes: None })),

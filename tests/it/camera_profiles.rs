@@ -238,13 +238,13 @@ fn all_problems_of_all_cameras_are_told_at_once() {
         &[
             "camera h0_up: ",
             "`Line7` is not an entry of TriggerSource: ",
-            "say trigger_line = \"Line0\"",
+            "set trigger_line = \"Line0\"",
             "camera h1_up: ",
-            "asked for gain_db = 90",
+            "requested gain_db = 90",
             "camera h1_low: ",
             "`FallingEdge` is not an entry of TriggerActivation: RisingEdge",
             "camera h2_up: ",
-            "feature BlackLevel: asked for 4, the camera has no such feature",
+            "feature BlackLevel: requested 4, the camera has no such feature",
             "`Never` is not an entry of AcquisitionMode: ",
         ],
     );

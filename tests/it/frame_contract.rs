@@ -208,7 +208,7 @@ fn what_a_session_needs_is_asked_of_cameras_and_lists_keep_their_order() {
         &[
             "camera h0_up: ",
             "PixelFormat is RGB8, expected one of Mono8, Mono10p",
-            "say pixel = \"mono8\"",
+            "set pixel = \"mono8\"",
             "PayloadSize is 192000, expected 64000",
             "camera h0_low: ",
             "PayloadSize is 64800, expected 64000: switch off what it appends",

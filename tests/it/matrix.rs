@@ -307,7 +307,7 @@ fn is_helpful(refusal: &str) -> bool {
     let found = [
         "expected",
         "is not an entry of",
-        "asked for",
+        "requested",
         "no feature",
         "has no",
         "nearest",

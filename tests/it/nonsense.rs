@@ -96,7 +96,11 @@ fn a_value_without_entry_is_set_and_names_of_any_bytes_are_told() {
     let state = camera.state().expect("read");
     assert_eq!(state["AcquisitionMode"], "77, which none of its entries has");
     let set_up = camera.set_up(&wishes).expect("what is wrong is set");
-    assert!(set_up.told.iter().any(|told| told.contains("AcquisitionMode was 77")), "{:?}", set_up.told);
+    assert!(
+        set_up.remarks.iter().any(|remark| remark.contains("AcquisitionMode was 77")),
+        "{:?}",
+        set_up.remarks
+    );
     assert_eq!(camera.state().expect("read")["AcquisitionMode"], "Continuous");
     drop(camera);
     let config = laboratory.nodes[0].path.display().to_string();

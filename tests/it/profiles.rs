@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Node files' words in the features of real cameras: the tables of published descriptions in `../shared/data/cameras`.
 
-use fourdbody::camera::description::{Access, Bounds, Description, Feature, Kind};
+use fourdbody::camera::description::{Access, Description, Feature, Kind};
 use fourdbody::camera::profile::{Amount, Link, Plan, Wishes, must_be, resolve};
 use fourdbody::config::{CameraWords, Channel};
 use serde_json::Value;
@@ -39,11 +39,6 @@ fn feature(facts: &Value) -> Feature {
             _ => Access::ReadWrite,
         },
         unit: facts["unit"].as_str().map(str::to_owned),
-        bounds: Bounds {
-            min: facts["min"].as_f64(),
-            max: facts["max"].as_f64(),
-            step: facts["inc"].as_f64(),
-        },
         entries: entries.filter_map(|entry| entry.as_str().map(str::to_owned)).collect(),
     }
 }

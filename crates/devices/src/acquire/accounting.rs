@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Keeps the accounting of a session: gives every frame its trigger and every trigger of every camera its outcome.
+//! The accounting of a session: gives every frame its trigger and every trigger of every camera its outcome.
 
 use super::assembler::Assembler;
 use super::breaches::{Breaches, gap_cause};
+use super::commands::{LaneSetup, RecorderCommand, RecorderEvent, RecorderOptions, TICK};
 use super::pause::Pauses;
+use super::progress::Progress;
 use super::receiver::Arrival;
-use super::recorder::{LaneSetup, Progress, RecorderCommand, RecorderEvent, RecorderOptions, TICK};
 use super::writer_queue::{ReadyFrame, Ring, ToWriter};
 use crate::base::clock_fit::{ClockFit, Exchange, Judged};
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -24,33 +25,35 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// One camera.
+/// The accounting of one camera.
 struct Lane {
     id: CameraId,
     width: u32,
     height: u32,
     matcher: Matcher,
     pending: VecDeque<Pending>,
-    /// The number of the stream whose frames are taken.
+    /// Number of the stream whose frames are accepted.
     stream: u32,
-    /// The first trigger without an outcome.
+    /// The first trigger without an outcome yet.
     next: u64,
     lost: bool,
-    /// It was lost, and no frame has come since it is back.
+    /// Whether the camera was lost and has sent no frame since it is back.
     back: bool,
-    /// Why it was lost.
+    /// The cause for which the camera is or was away.
     absence: GapCause,
-    /// Frames that no trigger explains.
+    /// Number of frames that no trigger explains.
     spurious: u64,
-    /// Frames whose trigger rests on one witness.
+    /// Number of frames whose trigger rests on one witness.
     unconfirmed: u64,
-    /// Frames given up because their witnesses contradicted each other: in all, and since the last that was not.
+    /// Number of frames given up because their witnesses contradicted each other.
     given_up: u64,
+    /// The same, since the last frame whose trigger was found.
     given_up_now: u64,
-    /// The triggers that their ids pointed at, as far as these are known, and those of their clock: the last ones.
+    /// Triggers of the last frames that were given up: by their block ids, and by the camera's clock where it names
+    /// one.
     given_up_at: VecDeque<(u64, Option<u64>)>,
-    /// When its clock was last asked for, at this point of [`Accounting::awake`].
-    asked: Option<Duration>,
+    /// When a reading of its clock was last requested, by [`Accounting::awake`].
+    clock_requested: Option<Duration>,
     breaches: Breaches,
 }
 
@@ -72,28 +75,30 @@ impl Lane {
             given_up: 0,
             given_up_now: 0,
             given_up_at: VecDeque::with_capacity(GIVEN_UP_KEPT),
-            asked: None,
+            clock_requested: None,
             breaches: Breaches::default(),
         }
     }
 }
 
-/// A frame that waits for its trigger, since this point of [`Accounting::awake`].
+/// A frame that waits for its trigger; `since` is a time of [`Accounting::awake`].
 struct Pending {
     arrival: Arrival,
     since: Duration,
 }
 
-/// A row of sets that found no room in the ring.
+/// Consecutive frame sets that found no room in the ring.
 struct Full {
     first: u64,
     last: u64,
     frames: u64,
-    /// Who did not get to write, where it was not the disk.
+    /// The thread that got no processor, where the cause was not the disk.
     starved: Option<Starved>,
 }
 
-/// The matching thread's state.
+/// The state of the matching thread, which owns it from the start of a session to its close. It promises that every
+/// frame gets a trigger by two independent witnesses or is given up by name, and that every trigger of every camera
+/// ends with exactly one outcome.
 pub(super) struct Accounting {
     lanes: Vec<Lane>,
     table: TriggerTable,
@@ -106,33 +111,33 @@ pub(super) struct Accounting {
     progress: Arc<Progress>,
     events: Sender<RecorderEvent>,
     draining: bool,
-    /// How many triggers there were, once the HSU said so.
+    /// The HSU's count of triggers, once it is known.
     emitted: Option<u64>,
-    /// How long this thread has been at work. It does not grow while the process stands still: what was said meanwhile
-    /// is heard before anybody's patience is at its end.
+    /// Time that this thread has been running. It does not grow while the process stands still, so that commands sent
+    /// in the meantime are handled before any patience ends.
     awake: Duration,
     last_turn: Instant,
     pauses: Pauses,
-    /// When one was last recorded.
+    /// When a pause was last recorded, by `awake`.
     recorded_pause: Option<Duration>,
-    /// When it is looked again whether threads get a processor, at this point of [`Accounting::awake`].
+    /// When to check again whether the threads get a processor, by `awake`.
     next_look: Duration,
-    /// When a frame last got its trigger.
+    /// When a frame last got its trigger, by `awake`.
     last_settled: Duration,
     beginning: beginning::Beginning,
 }
 
-/// Kind of the event at the trigger at which Record was pressed.
+/// Kind of the event that marks the trigger at which Record was pressed.
 const RECORD_PRESSED: &str = "record_pressed";
 /// Kind of the event at the first trigger whose time contradicts the HSU's others.
 const HSU_TIMES_WRONG: &str = "hsu_times_wrong";
-/// Of frames that are given up in a row so many are remembered.
+/// Consecutive frames given up whose triggers are remembered.
 const GIVEN_UP_KEPT: usize = 64;
-/// A turn that took longer did not work for all of it.
+/// Longest turn that counts as work: a longer one includes a pause of the thread.
 const LONGEST_TURN: Duration = TICK.saturating_mul(2);
-/// So long readings of a camera's clock that were asked for may take.
+/// Longest wait for requested readings of a camera's clock, before they are requested again.
 const CLOCK_PATIENCE: Duration = Duration::from_millis(10);
-/// So long a frame waits for its report even if there are more waiting than should be: they may have come at once.
+/// Least time that a frame waits for its report, even where too many frames wait, because they may have come at once.
 const BURST_PATIENCE: Duration = Duration::from_millis(25);
 
 impl Accounting {
@@ -166,17 +171,16 @@ impl Accounting {
         }
     }
 
-    /// A frame arrived; `behind` more are on their way to this thread.
+    /// Takes a frame that arrived; `behind` more wait in the channel to this thread.
     pub(super) fn frame_arrived(&mut self, arrival: Arrival, behind: usize) {
         let camera = arrival.camera;
         let Some(lane) = self.lanes.get_mut(camera) else { return };
         if arrival.stream != lane.stream {
             return self.spurious(&arrival, "is of a stream that has ended");
         }
-        if self.is_stray(&arrival) {
+        if self.beginning.is_stray(&arrival) {
             return self.stray(&arrival);
         }
-        let Some(lane) = self.lanes.get_mut(camera) else { return };
         lane.pending.push_back(Pending { arrival, since: self.awake });
         let pending: usize = self.lanes.iter().map(|lane| lane.pending.len()).sum();
         let waiting = pending + behind + self.sets.waiting() + self.ring.len();
@@ -198,14 +202,13 @@ impl Accounting {
                 self.advance_all();
             }
             RecorderCommand::Silent { until_ns } => self.silent_until(until_ns),
-            RecorderCommand::WarmUp { number, hsu_time_ns, late, host_time_ns: heard_ns } if number < 0 => {
-                self.hsu_reports(number, hsu_time_ns, late, heard_ns);
+            RecorderCommand::WarmUp { number, hsu_time_ns, late, host_time_ns: arrived_ns } if number < 0 => {
+                self.hsu_reports(number, hsu_time_ns, late, arrived_ns);
                 self.beginning.reports += 1;
                 let sample = WarmUp::Trigger { number, hsu_time_ns };
                 self.ring.small(ToWriter::Event(sample.event(None, host_time_ns())));
                 self.advance_all();
             }
-            RecorderCommand::WarmUp { .. } => {}
             RecorderCommand::Clock(sample) => self.clock_sample(sample),
             RecorderCommand::Event(event) => self.ring.small(ToWriter::Event(event)),
             RecorderCommand::CameraLost(camera, cause) if camera < self.lanes.len() => {
@@ -240,25 +243,21 @@ impl Accounting {
         }
     }
 
-    /// Notes when the HSU says that it fired a trigger. Its times are a source of their own: what contradicts their rhythm,
-    /// or was heard before it can have happened, confirms no frame.
-    fn hsu_reports(&mut self, number: i64, hsu_time_ns: u64, late: bool, heard_ns: u64) {
+    /// Enters the HSU's time of a trigger into the table. The HSU's times are a source of their own: a time that
+    /// contradicts their rhythm, or a report that arrived before its trigger can have been fired, confirms no frame.
+    fn hsu_reports(&mut self, number: i64, hsu_time_ns: u64, late: bool, host_time_ns: u64) {
         let fired = self.hsu.host_from_device(hsu_time_ns.into());
         let slack = i128::from(self.options.period_ns / 8);
-        let possible = fired.is_none_or(|fired| fired <= i128::from(heard_ns) + slack);
+        let possible = fired.is_none_or(|fired| fired <= i128::from(host_time_ns) + slack);
         let before = self.table.contradicting();
         self.table.report(number, hsu_time_ns, late, possible);
         match self.table.contradicting() > before {
-            false => self.hsu.heard(hsu_time_ns, heard_ns),
+            false => self.hsu.heard(hsu_time_ns, host_time_ns),
             true if before == 0 => {
                 let text = format!(
-                    "the HSU's time of trigger {number}, {hsu_time_ns} ns, contradicts {}: frames from here on are filed by \
-                     what cameras count and stamp, as far as these agree (later ones are counted)",
-                    if possible {
-                        "the rhythm of its triggers"
-                    } else {
-                        "the report, which was heard before"
-                    }
+                    "the HSU's time of trigger {number}, {hsu_time_ns} ns, contradicts {}: from here on block ids and \
+                     timestamps decide on triggers, as far as they agree (later contradictions are counted)",
+                    if possible { "the rhythm of its triggers" } else { "its report, which arrived earlier" }
                 );
                 self.event(HSU_TIMES_WRONG, None, u64::try_from(number).ok(), text);
             }
@@ -266,7 +265,7 @@ impl Accounting {
         }
     }
 
-    /// Triggers that are the recording's.
+    /// Counts the triggers that belong to the recording.
     fn count_triggers(&self) {
         let triggers = self.ring.first().map_or(0, |first| self.table.len().saturating_sub(first));
         self.progress.triggers.store(triggers, Ordering::Relaxed);
@@ -282,13 +281,13 @@ impl Accounting {
         match sample.camera.as_ref().map(lane) {
             None => {
                 if let Judged::Reset { step_ns } = self.hsu.exchange(&exchange) {
-                    let message = format!("the HSU's clock was set anew, by {step_ns} ns");
+                    let message = format!("the HSU's clock jumped by {step_ns} ns");
                     self.event("hsu_clock_reset", None, None, message);
                 }
             }
             Some(Some(camera)) => {
                 if let Judged::Reset { step_ns } = self.lanes[camera].matcher.clock_sample(&exchange) {
-                    let message = format!("its clock was set anew, by {step_ns} ns (from clock samples)");
+                    let message = format!("its clock jumped by {step_ns} ns (found by clock readings)");
                     self.note(camera, "camera_clock_reset", None, message);
                 }
             }
@@ -304,7 +303,7 @@ impl Accounting {
         self.look_at_places();
     }
 
-    /// Settles what can be decided of a camera's frames, in order; with `now`, all of them.
+    /// Settles the camera's waiting frames that can be decided, in order; with `now`, all of them.
     fn advance(&mut self, camera: usize, now: bool) {
         while let Some(Pending { arrival, since }) = self.lanes[camera].pending.pop_front() {
             let lane = &mut self.lanes[camera];
@@ -316,7 +315,7 @@ impl Accounting {
             let mut followers = [seen; Matcher::FOLLOWERS];
             let count = followers.iter_mut().zip(behind).map(|(place, next)| *place = next).count();
             if last_call {
-                // Those behind it must show whether the host stood still, and their reports may be held up as well.
+                // The frames behind it show whether the host stood still, and their reports may be held up as well.
                 self.infer_trigger(camera, &seen, false);
                 followers[..count].iter().for_each(|seen| self.infer_trigger(camera, seen, true));
             }
@@ -327,7 +326,7 @@ impl Accounting {
             }
             let lane = &mut self.lanes[camera];
             let answer = lane.matcher.assign(&seen, &followers[..count], &self.table, &self.hsu, last_call);
-            self.ask_clock(camera);
+            self.request_clock(camera);
             let lane = &mut self.lanes[camera];
             match answer {
                 Match::Wait => return lane.pending.push_front(Pending { arrival, since }),
@@ -336,7 +335,8 @@ impl Accounting {
                 Match::Spurious(residual_ns) => {
                     self.spurious(&arrival, &format!("lies {residual_ns} ns from the nearest trigger"));
                 }
-                Match::Stray => self.spurious(&arrival, "is a part of one whose id is not due"),
+                Match::Stray => self
+                    .spurious(&arrival, "is incomplete, and its trigger has an outcome or is not fired yet"),
                 Match::BeforeTrain => {
                     self.beginning.early += 1;
                     self.spurious(&arrival, "came before the first trigger");
@@ -349,17 +349,17 @@ impl Accounting {
         }
     }
 
-    /// Asks for readings of a camera's clock where a frame waits for them, and once more where they do not come.
-    fn ask_clock(&mut self, camera: usize) {
+    /// Requests readings of a camera's clock where a frame waits for them, and again where they do not come.
+    fn request_clock(&mut self, camera: usize) {
         let lane = &mut self.lanes[camera];
-        let again = lane.asked.is_none_or(|asked| self.awake > asked + CLOCK_PATIENCE);
+        let again = lane.clock_requested.is_none_or(|then| self.awake > then + CLOCK_PATIENCE);
         if again && lane.matcher.takes_clock_wish() {
-            lane.asked = Some(self.awake);
+            lane.clock_requested = Some(self.awake);
             drop(self.events.send(RecorderEvent::Doubtful { camera }));
         }
     }
 
-    /// Gives a frame's trigger, and those before it that have none, an outcome.
+    /// Gives a frame's trigger an outcome, and the triggers before it that have none.
     fn settle(&mut self, matched: Matched, arrival: Arrival) {
         let camera = arrival.camera;
         self.progress.latencies.matched.record(arrival.taken.elapsed());
@@ -403,7 +403,8 @@ impl Accounting {
         }
     }
 
-    /// Frames of the warm-up are recorded raw, whether they could be placed or not: `verify` places them again.
+    /// Records a warm-up frame's id and times, whether its trigger is known or not: `verify` computes the triggers
+    /// again.
     fn warm_up_frame(&mut self, arrival: &Arrival) {
         let sample = WarmUp::Frame {
             block: arrival.block_id.0,
@@ -432,37 +433,31 @@ impl Accounting {
 
     /// Passes finished sets to the ring, or drops them where it has no room.
     fn pass_sets_on(&mut self, all: bool) {
-        while let Some(mut set) = self.sets.next(Instant::now(), all) {
-            // At the end no more frames come, and there are no more of them than blocks.
-            let dropped_before = self.full.as_ref().is_some_and(|full| full.last == set.trigger);
-            let broken = self.pauses.is_broken(set.trigger);
+        while let Some((trigger, mut frames)) = self.sets.next(Instant::now(), all) {
+            let dropped_before = self.full.as_ref().is_some_and(|full| full.last == trigger);
+            let broken = self.pauses.is_broken(trigger);
             if broken {
-                // What of it is there already has no use, and says so.
-                for frame in set.frames.drain(..) {
-                    self.count_gap(frame.camera, TriggerIndex(set.trigger), GapCause::NodePaused);
-                }
-            } else if !all && (dropped_before || !self.ring.has_room_for(set.frames.len())) {
-                self.drop_set(set.trigger, &mut set.frames);
-            } else if !set.frames.is_empty() {
+                // The frames of an incomplete set are given up, too, with the pause as their cause.
+                self.give_up_set(trigger, &mut frames, GapCause::NodePaused);
+            } else if !all && (dropped_before || !self.ring.has_room_for(frames.len())) {
+                self.drop_set(trigger, &mut frames);
+            } else if !frames.is_empty() {
                 self.end_of_full();
-                for mut frame in set.frames.drain(..) {
+                for mut frame in frames.drain(..) {
                     self.progress.latencies.assembled.record(frame.since.elapsed());
                     frame.since = Instant::now();
                     self.ring.frame(frame);
                 }
                 self.progress.ring_high_water.fetch_max(self.progress.in_ring(), Ordering::Relaxed);
             }
-            self.sets.recycle(set.frames);
+            self.sets.recycle(frames);
         }
     }
 
     fn drop_set(&mut self, trigger: u64, frames: &mut Vec<ReadyFrame>) {
         let count = frames.len() as u64;
         if self.pauses.breaks(trigger, GapCause::DroppedRingFull) {
-            for frame in frames.drain(..) {
-                self.count_gap(frame.camera, TriggerIndex(trigger), GapCause::NodePaused);
-            }
-            return;
+            return self.give_up_set(trigger, frames, GapCause::NodePaused);
         }
         let mut full = self.full.take().unwrap_or_else(|| {
             let starved = held_back(&["writer", "disk"]);
@@ -470,9 +465,7 @@ impl Accounting {
         });
         (full.last, full.frames) = (full.last.max(trigger), full.frames + count);
         let cause = if full.starved.is_some() { GapCause::NodePaused } else { GapCause::DroppedRingFull };
-        for frame in frames.drain(..) {
-            self.count_gap(frame.camera, TriggerIndex(trigger), cause);
-        }
+        self.give_up_set(trigger, frames, cause);
         self.progress.dropped.fetch_add(count, Ordering::Relaxed);
         if self.options.when_full == WhenFull::Stop && !std::mem::replace(&mut self.full_reported, true) {
             let why = full.starved.as_ref().map(ToString::to_string);
@@ -481,20 +474,25 @@ impl Accounting {
         self.full = Some(full);
     }
 
-    /// Gap records of triggers in a row.
+    /// Adds gap records for consecutive triggers.
     fn gaps(&mut self, camera: usize, first: u64, causes: Vec<GapCause>) {
         let now = Instant::now();
         for (trigger, cause) in (first..).zip(causes) {
             let paused = self.pauses.breaks(trigger, cause);
-            self.count_gap(camera, TriggerIndex(trigger), if paused { GapCause::NodePaused } else { cause });
+            self.count_gap(camera, trigger, if paused { GapCause::NodePaused } else { cause });
             self.sets.outcome(camera, trigger, None, now);
-            // A long absence must not pile up sets that nobody waits for.
+            // A long absence must not pile up sets that wait for no camera.
             self.pass_sets_on(false);
         }
     }
 
-    fn count_gap(&mut self, camera: usize, trigger: TriggerIndex, cause: GapCause) {
-        self.ring.small(ToWriter::Gap(camera, trigger, cause));
+    fn count_gap(&mut self, camera: usize, trigger: u64, cause: GapCause) {
+        self.ring.small(ToWriter::Gap(camera, TriggerIndex(trigger), cause));
+    }
+
+    /// Adds gap records in place of the frames of a set.
+    fn give_up_set(&mut self, trigger: u64, frames: &mut Vec<ReadyFrame>, cause: GapCause) {
+        frames.drain(..).for_each(|frame| self.count_gap(frame.camera, trigger, cause));
     }
 
     pub(super) fn check_drained(&mut self, all_taken: bool) {
@@ -509,7 +507,7 @@ impl Accounting {
         }
     }
 
-    /// Gap records for the frames of the last triggers, which nothing later can prove missing.
+    /// Adds gap records for the last triggers, after which no frame came that would show the loss.
     fn give_up_until(&mut self, triggers: u64) {
         for camera in 0..self.lanes.len() {
             let lane = &mut self.lanes[camera];
@@ -522,7 +520,7 @@ impl Accounting {
     }
 
     pub(super) fn close(mut self, aborted: Option<String>) {
-        // Frames that still wait get their outcome by what is known.
+        // Frames that still wait are decided by what is known now.
         (0..self.lanes.len()).for_each(|camera| self.advance(camera, true));
         self.pass_sets_on(true);
         self.end_of_full();

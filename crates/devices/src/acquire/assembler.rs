@@ -1,20 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Frame sets: what belongs to one trigger is passed on together, in the order of triggers.
+//! Frame sets: the frames of one trigger are passed on together, in the order of triggers.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Assembles sets of frames `F`.
+/// Assembles frame sets of frames `F`. The accounting owns it for one session. A set leaves when all expected cameras
+/// have an outcome, or when it has waited long enough.
 #[derive(Debug)]
 pub struct Assembler<F> {
-    /// Cameras whose outcome is waited for, one bit each.
+    /// Cameras whose outcomes a set waits for, one bit each.
     expected: u64,
     open: VecDeque<Open<F>>,
-    /// Triggers below this have been passed on.
+    /// Sets of triggers below this have been passed on.
     passed: u64,
     patience: Duration,
     most_open: usize,
-    /// Sets before this trigger are waited for, however many there are.
+    /// Sets before this trigger wait for their patience, however many are open.
     patient_until: u64,
     spare: Vec<Vec<F>>,
 }
@@ -27,17 +28,8 @@ struct Open<F> {
     since: Instant,
 }
 
-/// The frames of one trigger, or those that came after the others were passed on.
-#[derive(Debug)]
-pub struct FrameSet<F> {
-    /// The trigger's index.
-    pub trigger: u64,
-    /// The frames, in the order in which they came.
-    pub frames: Vec<F>,
-}
-
 impl<F> Assembler<F> {
-    /// For so many cameras (at most 64). A set waits for its last outcome at most for `patience`, and only while
+    /// An assembler for up to 64 cameras. A set waits for its last outcome at most for `patience`, and only while
     /// there are at most `most_open` sets.
     pub fn new(cameras: usize, patience: Duration, most_open: usize) -> Self {
         let expected = if cameras >= 64 { u64::MAX } else { (1 << cameras) - 1 };
@@ -52,18 +44,18 @@ impl<F> Assembler<F> {
         }
     }
 
-    /// Whether a camera's outcomes are waited for.
+    /// Sets whether a set waits for this camera's outcome.
     pub fn expect(&mut self, camera: usize, expected: bool) {
         let bit = 1u64.checked_shl(camera as u32).unwrap_or(0);
         if expected { self.expected |= bit } else { self.expected &= !bit }
     }
 
-    /// Sets before this trigger are waited for, however many are open: their frames come all at once, camera by camera.
+    /// Lets sets before this trigger wait, however many are open: their frames come all at once, camera by camera.
     pub fn wait_until(&mut self, trigger: u64) {
         self.patient_until = self.patient_until.max(trigger);
     }
 
-    /// Enters a camera's outcome for a trigger: its frame, or that there is none.
+    /// Enters a camera's outcome for a trigger: its frame, or none.
     pub fn outcome(&mut self, camera: usize, trigger: u64, frame: Option<F>, now: Instant) {
         if frame.is_none() && trigger < self.passed {
             return;
@@ -78,8 +70,9 @@ impl<F> Assembler<F> {
         open.frames.extend(frame);
     }
 
-    /// The next set that is complete or has waited long enough; sets leave in order. `all`: whatever there is.
-    pub fn next(&mut self, now: Instant, all: bool) -> Option<FrameSet<F>> {
+    /// The next set that is complete or has waited long enough, with its trigger; sets leave in order. Frames that
+    /// come after their set has left form a set of their own. `all`: complete or not.
+    pub fn next(&mut self, now: Instant, all: bool) -> Option<(u64, Vec<F>)> {
         let first = self.open.front()?;
         let complete = first.outcomes & self.expected == self.expected || first.trigger < self.passed;
         let late = now.saturating_duration_since(first.since) >= self.patience;
@@ -89,7 +82,7 @@ impl<F> Assembler<F> {
         }
         let open = self.open.pop_front()?;
         self.passed = self.passed.max(open.trigger + 1);
-        Some(FrameSet { trigger: open.trigger, frames: open.frames })
+        Some((open.trigger, open.frames))
     }
 
     /// Takes an emptied set's memory back.
@@ -98,12 +91,12 @@ impl<F> Assembler<F> {
         self.spare.push(frames);
     }
 
-    /// Triggers below this have been passed on.
+    /// Sets of triggers below this have been passed on.
     pub fn passed(&self) -> u64 {
         self.passed
     }
 
-    /// Frames that wait in sets.
+    /// Number of frames that wait in sets.
     pub fn waiting(&self) -> usize {
         self.open.iter().map(|open| open.frames.len()).sum()
     }
@@ -125,7 +118,7 @@ mod tests {
         assert!(sets.next(now, false).is_none());
         sets.outcome(2, 5, None, now);
         let set = sets.next(now, false).expect("complete");
-        assert_eq!((set.trigger, set.frames), (5, vec!["a5", "b5"]));
+        assert_eq!(set, (5, vec!["a5", "b5"]));
         assert!(sets.next(now, false).is_none());
     }
 
@@ -136,11 +129,11 @@ mod tests {
         sets.outcome(0, 1, Some("a1"), now);
         let later = now + PATIENCE;
         let numbers: Vec<u64> =
-            std::iter::from_fn(|| sets.next(later, false)).map(|set| set.trigger).collect();
+            std::iter::from_fn(|| sets.next(later, false)).map(|(trigger, _)| trigger).collect();
         assert_eq!(numbers, [0, 1]);
         sets.outcome(1, 0, Some("b0"), later);
         let set = sets.next(later, false).expect("it follows at once");
-        assert_eq!((set.trigger, set.frames), (0, vec!["b0"]));
+        assert_eq!(set, (0, vec!["b0"]));
     }
 
     #[test]

@@ -1,38 +1,38 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Why a frame that arrived is a gap, and how often frames of a camera were not what was agreed.
+//! Why a frame that arrived becomes a gap, and how often frames of a camera broke their contract.
 
 use crate::camera::{Breach, Transfer};
 use crate::record::GapCause;
 
-/// So many kinds of a camera's breaches are told apart; more are gaps without an event of their own.
+/// Kinds of breaches that are counted per camera; further kinds become gaps without an event of their own.
 const KINDS: usize = 8;
 
-/// How frames of a camera broke their contract, and how many.
+/// Counts of a camera's broken contracts, by kind.
 #[derive(Debug, Default)]
 pub struct Breaches(Vec<(Breach, u64)>);
 
 impl Breaches {
-    /// Counts one; says whether it is the first of its kind.
+    /// Counts a breach; `true` for the first of its kind.
     pub fn count(&mut self, breach: Breach) -> bool {
         if let Some((_, count)) = self.0.iter_mut().find(|(known, _)| *known == breach) {
             *count += 1;
             return false;
         }
-        let told = self.0.len() < KINDS;
-        if told {
+        let is_new = self.0.len() < KINDS;
+        if is_new {
             self.0.push((breach, 1));
         }
-        told
+        is_new
     }
 
-    /// What there was of each kind more than once.
+    /// A line for each kind that occurred more than once.
     pub fn summary(self) -> impl Iterator<Item = String> {
         let many = self.0.into_iter().filter(|(_, count)| *count > 1);
         many.map(|(breach, count)| format!("{count} frames are not recorded: {breach}"))
     }
 }
 
-/// The cause of the gap that stands for a frame; `None` where it is recorded.
+/// The cause of the gap record in place of a frame; `None` where the frame is recorded.
 pub fn gap_cause(transfer: Transfer) -> Option<GapCause> {
     match transfer {
         Transfer::Complete => None,

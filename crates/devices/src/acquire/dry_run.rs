@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A session that does all but write: every frame is matched, checked and counted, and its memory goes back at once.
+//! A session without a disk: every frame is matched, checked and counted, and its memory is freed at once.
 
 use super::writer_queue::{Sink, ToWriter};
 use crate::base::ids::TriggerIndex;
 use crate::record::{CameraTally, Noted, RecordError, RecordingHeader, SessionEnd, Verdict};
 
-/// What stands where a recording would be.
+/// The destination of a dry run, in place of a recording.
 #[derive(Debug)]
 pub struct DryRun {
     header: RecordingHeader,
@@ -15,7 +15,7 @@ pub struct DryRun {
 }
 
 impl DryRun {
-    /// For the session that `header` describes; nothing is made on disk.
+    /// A dry run of the session that `header` describes; nothing is created on disk.
     pub fn new(header: RecordingHeader) -> Self {
         let tallies = vec![CameraTally::default(); header.cameras.len()];
         Self { header, tallies, triggers_end: 0, noted: Noted::default() }
@@ -42,10 +42,6 @@ impl Sink for DryRun {
             ToWriter::Clock(_) | ToWriter::End(_) => true,
         };
         self.noted.refused += u64::from(!fresh);
-        Ok(())
-    }
-
-    fn tick(&mut self) -> Result<(), RecordError> {
         Ok(())
     }
 

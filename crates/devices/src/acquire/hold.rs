@@ -1,49 +1,49 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Frame sets before Record: those of the last seconds wait in memory, and the oldest gives way.
+//! Frame sets before Record: those of the last seconds wait in memory, and the oldest are dropped.
 //!
-//! Until Record nothing that belongs to a trigger is written. Then the recording begins at a trigger of the past: it
-//! becomes trigger 0, and all numbers are counted from it. The warm-up is kept with its numbers, so that `verify` finds
-//! the beginning of every stream as in any other session.
+//! Until Record is pressed, nothing that belongs to a trigger is written. Then the recording begins at a past
+//! trigger, which becomes trigger 0, and all numbers are counted from it. The warm-up is kept with its numbers, so
+//! that `verify` finds the beginning of every stream as in any other session.
 
 use super::writer_queue::{ReadyFrame, ToWriter};
 use crate::base::ids::TriggerIndex;
 use crate::record::{FrameMeta, NodeEvent, TriggerRecord, WarmUp};
 use std::collections::VecDeque;
 
-/// Triggers behind the warm-up whose times are kept with it: its last frames are found among them.
+/// Triggers behind the warm-up whose times are kept with it, because its last frames arrive among them.
 const EARLY: u64 = 64;
-/// Events of earlier triggers that are told all the same: the last ones.
-const TOLD: usize = 256;
+/// Events of dropped triggers that are still recorded: the last ones.
+const PAST_EVENTS: usize = 256;
 
-/// What is held back, in order.
+/// The records that wait for Record, in order. The ring owns it; after Record it is emptied and passes everything on.
 #[derive(Debug)]
 pub(super) struct Hold {
     items: VecDeque<ToWriter>,
-    /// Triggers that are held at most.
+    /// Largest number of triggers that are held.
     most: u64,
     /// The warm-up: its triggers and frames, and the first triggers behind it.
     begin: Vec<NodeEvent>,
-    /// What happened at triggers that have given way.
-    told: VecDeque<NodeEvent>,
-    /// The trigger of the train that the recording begins with.
+    /// Events of triggers that were dropped.
+    past: VecDeque<NodeEvent>,
+    /// The trigger of the train that the recording begins with; `None` before Record.
     first: Option<u64>,
-    /// One more than the newest trigger of which a frame or a gap came.
+    /// One more than the newest trigger with a frame or a gap record.
     end: u64,
 }
 
-/// What became of an item.
+/// The outcome of [`Hold::take`] for an item.
 pub(super) enum Passed {
-    /// It goes on, counted as the recording counts.
+    /// The item is passed on, with the recording's trigger index.
     On(ToWriter),
-    /// It is held, or not of the recording; so many held frames gave way.
+    /// The item is held, or not part of the recording; the number of older frames that were dropped.
     Held(usize),
 }
 
 impl Hold {
-    /// Holds the last `most` triggers.
+    /// A hold for the last `most` triggers.
     pub(super) fn new(most: u64) -> Self {
-        let (items, told) = (VecDeque::new(), VecDeque::new());
-        Self { items, most: most.max(1), begin: Vec::new(), told, first: None, end: 0 }
+        let (items, past) = (VecDeque::new(), VecDeque::new());
+        Self { items, most: most.max(1), begin: Vec::new(), past, first: None, end: 0 }
     }
 
     /// The trigger that the recording begins with, once Record was pressed.
@@ -51,12 +51,12 @@ impl Hold {
         self.first
     }
 
-    /// Triggers of the train of which something is held: the oldest, and one more than the newest.
+    /// The held triggers of the train: the oldest, and one more than the newest.
     pub(super) fn held(&self) -> (u64, u64) {
         (self.end.saturating_sub(self.most), self.end)
     }
 
-    /// Takes an item that comes behind all others.
+    /// Takes the next item of the session.
     pub(super) fn take(&mut self, item: ToWriter) -> Passed {
         if let Some(first) = self.first {
             return match counted_from(first, item) {
@@ -89,7 +89,7 @@ impl Hold {
         Passed::Held(self.give_way())
     }
 
-    /// Lets go of what is older than what is held; returns how many frames that were.
+    /// Drops the items of triggers that are too old; returns the number of frames among them.
     fn give_way(&mut self) -> usize {
         let (oldest, _) = self.held();
         let mut frames = 0;
@@ -98,10 +98,10 @@ impl Hold {
             match item {
                 ToWriter::Frame(_) => frames += 1,
                 ToWriter::Event(event) => {
-                    if self.told.len() == TOLD {
-                        self.told.pop_front();
+                    if self.past.len() == PAST_EVENTS {
+                        self.past.pop_front();
                     }
-                    self.told.push_back(event);
+                    self.past.push_back(event);
                 }
                 _ => {}
             }
@@ -109,8 +109,8 @@ impl Hold {
         frames
     }
 
-    /// Record was pressed: the recording begins with this trigger of the train. Returns how many held frames are older, and the triggers
-    /// from there on that are not held any more. A second word changes nothing.
+    /// Record was pressed: the recording begins with this trigger of the train. Returns the number of held frames
+    /// that are older, and the triggers from `first` on that are not held any more. A second call changes nothing.
     pub(super) fn keep(&mut self, first: u64) -> (usize, std::ops::Range<u64>) {
         if self.first.is_some() {
             return (0, 0..0);
@@ -120,20 +120,20 @@ impl Hold {
             items.iter().filter(|item| matches!(item, ToWriter::Frame(_))).count()
         };
         let before = frames(&self.items);
-        let told = std::mem::take(&mut self.begin).into_iter().chain(std::mem::take(&mut self.told));
-        let all = told.map(ToWriter::Event).chain(std::mem::take(&mut self.items));
+        let events = std::mem::take(&mut self.begin).into_iter().chain(std::mem::take(&mut self.past));
+        let all = events.map(ToWriter::Event).chain(std::mem::take(&mut self.items));
         self.items = all.filter_map(|item| counted_from(first, item)).collect();
         self.first = Some(first);
         (before - frames(&self.items), first..oldest.max(first))
     }
 
-    /// The next item that may go on.
+    /// The next item to pass on; none before Record.
     pub(super) fn next(&mut self) -> Option<ToWriter> {
         self.items.pop_front_if(|_| self.first.is_some())
     }
 }
 
-/// The trigger that an item is of.
+/// The trigger of an item; `None` for items without one.
 fn trigger_of(item: &ToWriter) -> Option<u64> {
     match item {
         ToWriter::Frame(frame) => Some(frame.meta.trigger.0),
@@ -144,7 +144,7 @@ fn trigger_of(item: &ToWriter) -> Option<u64> {
     }
 }
 
-/// An item as a recording has it whose trigger 0 is `first` of the train; `None` where it is of an earlier trigger.
+/// An item of a recording whose trigger 0 is `first` of the train; `None` where its trigger is earlier.
 fn counted_from(first: u64, item: ToWriter) -> Option<ToWriter> {
     let index = |trigger: TriggerIndex| trigger.0.checked_sub(first).map(TriggerIndex);
     Some(match item {
@@ -162,7 +162,7 @@ fn counted_from(first: u64, item: ToWriter) -> Option<ToWriter> {
                 let row = WarmUp::Trigger { number, hsu_time_ns };
                 ToWriter::Event(row.event(event.camera, event.host_time_ns))
             }
-            // What happened before is told, without a trigger that the recording does not have.
+            // An earlier event stays, without its trigger, which the recording does not have.
             (_, Some(trigger)) => ToWriter::Event(NodeEvent { trigger: index(trigger), ..event }),
             _ => ToWriter::Event(event),
         },

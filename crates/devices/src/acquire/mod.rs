@@ -4,11 +4,12 @@
 mod accounting;
 pub mod assembler;
 mod breaches;
+mod commands;
 pub mod dry_run;
 mod hold;
-pub mod latencies;
 mod pause;
 pub mod preview;
+mod progress;
 pub mod receiver;
 pub mod recorder;
 mod writer_queue;

@@ -1,46 +1,47 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Pauses of the process, or of one of its threads: which triggers they concern, and which frame sets they broke.
+//! Pauses of the process, or of one of its threads: the triggers concerned, and the frame sets that lost frames.
 
 use crate::record::GapCause;
 use std::collections::BTreeSet;
 use std::ops::Range;
 use std::time::Duration;
 
-/// Pauses that are remembered; what an older one broke has long been settled.
+/// Pauses that are kept; the frame sets of older ones have long been settled.
 const REMEMBERED: usize = 16;
-/// Broken sets that are remembered: 34 seconds of them at 120 Hz.
+/// Incomplete frame sets that are kept: 34 seconds of them at 120 Hz.
 const BROKEN: usize = 4096;
 
 /// Times in which the process, or one of its threads, did not run.
 #[derive(Debug, Default)]
 pub(super) struct Pauses {
-    /// From when to when, host clock, ns, before any trigger was reported: which triggers that concerns is not known yet.
+    /// Pauses before any trigger was reported, host clock, ns: the triggers concerned are not known yet.
     early: Vec<Range<u64>>,
-    /// Triggers that each concerns.
+    /// Triggers concerned, a range per pause.
     concerned: Vec<Range<u64>>,
-    /// Triggers of them of which a camera has no frame.
+    /// Concerned triggers of which a camera has no frame.
     broken: BTreeSet<u64>,
 }
 
 impl Pauses {
-    /// A thread that wakes up every 10 ms and did not run for so long stood still. Longer than what a loaded machine
-    /// takes now and then, shorter than what the sockets can hold at full rate.
+    /// Shortest gap between two turns of a 10 ms thread that counts as a pause: longer than a loaded machine takes
+    /// now and then, shorter than the time whose packets the sockets can hold at full rate.
     pub(super) const SHORTEST: Duration = Duration::from_millis(200);
 
-    /// It stood still before any trigger was reported.
+    /// Adds a pause before any trigger was reported.
     pub(super) fn add_early(&mut self, from_ns: u64, to_ns: u64) {
         if self.early.len() < REMEMBERED {
             self.early.push(from_ns..to_ns);
         }
     }
 
-    /// Whether it did, and which triggers that concerns is not known yet.
+    /// Whether there are pauses whose triggers are not known yet.
     pub(super) fn has_early(&self) -> bool {
         !self.early.is_empty()
     }
 
-    /// When trigger 0 was fired, host clock, ns: for how many triggers the early pauses lasted, with those whose frames were
-    /// on their way; `None` where they were over before.
+    /// Assigns the early pauses to triggers, once it is known when trigger 0 was fired (host clock, ns). Gives the
+    /// number of triggers concerned, including those whose frames were on their way; `None` where the pauses ended
+    /// before.
     pub(super) fn begin(&mut self, first_ns: u64, period_ns: u64) -> Option<u64> {
         let last = self.early.drain(..).map(|pause| pause.end).max()?;
         let concerned = last.saturating_add(period_ns).checked_sub(first_ns)? / period_ns.max(1) + 2;
@@ -48,9 +49,9 @@ impl Pauses {
         Some(concerned)
     }
 
-    /// These triggers came while the process stood still, or just around it.
+    /// Adds triggers that came during a pause, or just before or after it.
     pub(super) fn add(&mut self, triggers: Range<u64>) {
-        // A host that is starved for long is one pause.
+        // Pauses that meet are one, so that a host that is starved for long fills no list.
         if let Some(last) = self.concerned.last_mut()
             && triggers.start <= last.end
             && last.start <= triggers.start
@@ -64,7 +65,7 @@ impl Pauses {
         self.concerned.push(triggers);
     }
 
-    /// Whether a frame that is missing for this cause is missing because of a pause: then its set is broken.
+    /// Whether a frame that is missing for this cause is missing because of a pause: then its set counts as incomplete.
     pub(super) fn breaks(&mut self, trigger: u64, cause: GapCause) -> bool {
         let by_pause = matches!(
             cause,

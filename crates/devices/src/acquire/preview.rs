@@ -1,32 +1,32 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What previews and the live body see of the frames: now and then a quarter of one, copied where its set enters the ring.
+//! Samples of frames for previews and the live body: a quarter of a frame, copied where its set enters the ring.
 //!
-//! The cost is bounded whatever previews do: a camera's frame is copied only when one was asked for, every fourth row of
-//! it, into memory that is kept; nothing is waited for. Without a request it is one load of a flag a frame.
+//! The cost is bounded whatever previews do: a frame is copied only on request, every fourth row of it, into memory
+//! that is kept, and nothing waits. Without a request the cost is one load of a flag per frame.
 
 use crate::base::ids::CameraId;
 use crate::record::FrameMeta;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, TryLockError};
 
-/// Every so many rows one is copied.
+/// Distance of the rows that are copied.
 pub const ROW_STEP: usize = 4;
 
-/// Rows of a frame, whole.
+/// Every fourth row of a frame.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Sample {
-    /// Of which trigger.
+    /// Index of the frame's trigger.
     pub trigger: u64,
     /// When the frame arrived, host clock, ns.
     pub host_time_ns: u64,
-    /// Columns.
+    /// Number of columns of the frame.
     pub width: usize,
     /// Rows 0, 4, 8, ... of the frame, `width` bytes each.
     pub pixels: Vec<u8>,
 }
 
 impl Sample {
-    /// Takes the rows of a frame.
+    /// Copies the rows of a frame.
     pub fn fill(&mut self, meta: &FrameMeta, pixels: &[u8]) {
         self.trigger = meta.trigger.0;
         self.host_time_ns = meta.host_time_ns;
@@ -46,7 +46,7 @@ pub struct Taps {
 #[derive(Debug)]
 struct Tap {
     camera: CameraId,
-    /// One more than the first trigger that is wanted; 0: none.
+    /// One more than the first requested trigger; 0: no request.
     wanted: AtomicU64,
     sample: Mutex<Slot>,
 }
@@ -65,7 +65,7 @@ impl Taps {
         Self { taps: cameras.into_iter().map(tap).collect() }
     }
 
-    /// Where nobody looks.
+    /// Taps without cameras, for tests.
     #[cfg(test)]
     pub(super) fn of_nobody() -> [std::sync::Arc<Self>; 2] {
         [(); 2].map(|()| std::sync::Arc::new(Self::new([])))
@@ -76,19 +76,19 @@ impl Taps {
         self.taps.iter().map(|tap| &tap.camera)
     }
 
-    /// Asks for a sample of the next frame of a camera.
+    /// Requests a sample of the next frame of a camera.
     pub fn ask(&self, camera: usize) {
         self.ask_from(camera, 0);
     }
 
-    /// Asks for a sample of the first frame from this trigger on.
+    /// Requests a sample of the first frame from this trigger on.
     pub fn ask_from(&self, camera: usize, trigger: u64) {
         if let Some(tap) = self.taps.get(camera) {
             tap.wanted.store(trigger.saturating_add(1), Ordering::Release);
         }
     }
 
-    /// Exchanges the sample that was left last for one that is done with; `None` when there is no new one.
+    /// Exchanges the last sample for a used one, whose memory is used again; `None` when there is no new sample.
     pub fn take(&self, camera: usize, done: &mut Option<Sample>) -> Option<Sample> {
         let mut slot = match self.taps.get(camera)?.sample.lock() {
             Ok(slot) => slot,
@@ -99,7 +99,8 @@ impl Taps {
         Some(fresh)
     }
 
-    /// Leaves a sample of a frame if one is wanted. Never waits: while a preview takes the last one, the next frame will do.
+    /// Leaves a sample of a frame if one is requested. Never waits: while a preview takes the last one, the next
+    /// frame will do.
     pub(super) fn offer(&self, camera: usize, meta: &FrameMeta, pixels: &[u8]) {
         let Some(tap) = self.taps.get(camera) else { return };
         let wanted = tap.wanted.load(Ordering::Acquire);
@@ -137,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_was_asked_for_is_copied_and_the_newest_counts() {
+    fn only_requested_frames_are_copied_and_the_newest_counts() {
         let taps = Taps::new([CameraId::from("h0_up")]);
         let pixels: Vec<u8> = (0..10).collect();
         taps.offer(0, &meta(0), &pixels);

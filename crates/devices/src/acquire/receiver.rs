@@ -3,7 +3,7 @@
 //!
 //! The checksum is computed here, so that it covers the way through the recorder and is spread over cores.
 
-use super::recorder::Progress;
+use super::progress::Progress;
 use crate::base::ids::BlockId;
 use crate::base::time::HostClock;
 use crate::camera::{FrameStream, Transfer};
@@ -21,65 +21,66 @@ use std::time::{Duration, Instant};
 pub struct Arrival {
     /// The camera's place in the node's list.
     pub camera: usize,
-    /// Which of the camera's streams in this session it came on: 0, and one more whenever the camera is back.
+    /// Number of the camera's stream in this session: 0, and one more whenever the camera is back.
     pub stream: u32,
-    /// What became of the transfer.
+    /// The outcome of the transfer.
     pub transfer: Transfer,
-    /// GVSP block id.
+    /// The camera's frame number (GVSP block id).
     pub block_id: BlockId,
     /// Start of exposure, camera clock, ns.
     pub camera_ns: u64,
-    /// First packet seen, the session's host clock, ns.
+    /// Arrival of the first packet, the session's host clock, ns.
     pub host_ns: u64,
-    /// CRC-32 of the pixels, when the transfer is complete.
+    /// CRC-32 of the pixels; 0 when the transfer is not complete.
     pub pixels_crc: u32,
-    /// When it was taken off the stream.
+    /// When the frame was taken from the stream.
     pub taken: Instant,
     /// The pixels, with room before them.
     pub block: Block,
 }
 
-/// A running receiver.
+/// A running receiver: the thread that takes frames from one stream. Whoever starts the stream owns it; it ends with
+/// [`Receiver::stop`], or when the recorder has ended.
 #[derive(Debug)]
 pub struct Receiver {
     stop: Arc<AtomicBool>,
     thread: JoinHandle<Vec<(String, u64)>>,
 }
 
-/// What a receiver needs beside its stream.
+/// The parameters of a receiver.
 #[derive(Debug, Clone)]
 pub struct ReceiverSetup {
     /// The camera's place in the node's list.
     pub camera: usize,
-    /// The number of its stream, see [`Arrival::stream`].
+    /// Number of the stream, see [`Arrival::stream`].
     pub stream: u32,
-    /// Where frames go.
+    /// Channel to the recorder; it has room for all blocks.
     pub recorder: Sender<Arrival>,
-    /// Where it is counted what is heard.
+    /// Counters of packets and frames.
     pub progress: Arc<Progress>,
-    /// The session's clock.
+    /// The host clock of the session.
     pub clock: HostClock,
-    /// How long to wait for a frame before the packets are counted anew: a trigger period.
+    /// Longest wait for a frame before the packets are counted again: a trigger period.
     pub patience: Duration,
 }
 
 impl Receiver {
-    /// Starts the thread. It ends with `stop`, or when the recorder is gone.
+    /// Starts the receiver's thread for one stream.
     pub fn start(mut stream: Box<dyn FrameStream>, setup: ReceiverSetup) -> std::io::Result<Self> {
         let ReceiverSetup { camera, stream: number, recorder, progress, clock, patience } = setup;
-        // Of an earlier stream of the same session.
-        let before = progress.heard[camera].load(Ordering::Relaxed);
+        // The count of the camera's earlier streams in this session.
+        let before = progress.activity[camera].load(Ordering::Relaxed);
         let stop = Arc::new(AtomicBool::new(false));
         let stopping = Arc::clone(&stop);
         let thread = std::thread::Builder::new().name(format!("receive-{camera}")).spawn(move || {
             realtime::enter_configured("receiver");
             while !stopping.load(Ordering::Acquire) {
                 let frame = stream.next(patience);
-                progress.heard[camera].store(before + stream.heard(), Ordering::Relaxed);
+                progress.activity[camera].store(before + stream.activity(), Ordering::Relaxed);
                 let Some(frame) = frame else { continue };
                 progress.received[camera].fetch_add(1, Ordering::Relaxed);
                 let complete = frame.transfer == Transfer::Complete;
-                // A frame that lost its leader has no identity: the frames around it tell that it is missing.
+                // A frame that lost its leader has no identity: the frames around it show that it is missing.
                 if !complete && frame.block_id == BlockId(0) && frame.camera_ns == 0 {
                     continue;
                 }

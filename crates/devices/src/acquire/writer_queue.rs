@@ -4,9 +4,10 @@
 //! Frames are admitted set by set: a set that does not fit as a whole is not admitted. Small records (triggers,
 //! gaps, clock samples, events) have room of their own, so that what explains a full ring still gets through.
 
+use super::commands::RecorderEvent;
 use super::hold::{Hold, Passed};
 use super::preview::Taps;
-use super::recorder::Progress;
+use super::progress::Progress;
 use crate::base::ids::TriggerIndex;
 use crate::base::{Exit, Fault};
 use crate::host::frame_memory::Block;
@@ -19,27 +20,25 @@ use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::recorder::RecorderEvent;
-
-/// Room for small records beside the frames: minutes of them.
+/// Room for small records beside the frames: several minutes of them at 120 Hz.
 const SMALL_RECORDS: usize = 65_536;
-/// Without anything to write the recording's durability is looked after this often.
+/// Longest sleep of the writer's thread: then it keeps the recording's durability bound.
 const TICK: Duration = Duration::from_millis(20);
 
 /// A frame whose trigger is known.
 #[derive(Debug)]
-pub(super) struct ReadyFrame {
+pub struct ReadyFrame {
     pub(super) camera: usize,
     pub(super) meta: FrameMeta,
     pub(super) block: Block,
     pub(super) taken: Instant,
-    /// When it was matched, then when it entered the ring.
+    /// When its trigger was found, later when it entered the ring.
     pub(super) since: Instant,
 }
 
-/// What the recording is told, in order.
+/// A record for the recording, in order.
 #[derive(Debug)]
-pub(super) enum ToWriter {
+pub enum ToWriter {
     Frame(ReadyFrame),
     Gap(usize, TriggerIndex, GapCause),
     Trigger(TriggerRecord),
@@ -48,10 +47,15 @@ pub(super) enum ToWriter {
     End(SessionEnd),
 }
 
-/// What can be written to: a recording, or a stand-in for it in tests.
-pub(super) trait Sink: Send + 'static {
+/// The destination of a session: a recording, a dry run, or a stand-in in tests.
+pub trait Sink: Send + 'static {
+    /// Writes one record, or accounts for a frame that cannot be written.
     fn write(&mut self, item: ToWriter) -> Result<(), RecordError>;
-    fn tick(&mut self) -> Result<(), RecordError>;
+    /// Keeps the durability bound while nothing is written.
+    fn tick(&mut self) -> Result<(), RecordError> {
+        Ok(())
+    }
+    /// Closes the session, and gives its verdict.
     fn finish(self: Box<Self>, end: SessionEnd) -> Result<Verdict, RecordError>;
 }
 
@@ -76,21 +80,22 @@ impl Sink for Recording {
     }
 }
 
-/// The matching thread's end.
+/// The bounded queue to the writer's thread, as the matching thread owns it. It promises that frame sets enter whole
+/// or not at all. It ends with [`Ring::close`], which waits for the writer's thread.
 pub(super) struct Ring {
-    items: Option<Sender<ToWriter>>,
-    /// Where frames wait for Record.
+    items: Sender<ToWriter>,
+    /// The frames that wait for Record; `None` where the recording begins with the train.
     hold: Option<Hold>,
-    /// Previews and the live body look at the frames that come in.
+    /// Samples of the frames, for previews and the live body.
     taps: [Arc<Taps>; 2],
-    /// Whose `ring` counts the frames in it, held ones too.
+    /// Counters, of which `ring` includes held frames.
     progress: Arc<Progress>,
     capacity: usize,
-    /// As many may be with the writer's thread.
+    /// Most items in the channel to the writer's thread while held ones follow.
     passed_on: usize,
-    /// Small records that found no room: their gaps are accounted for at the end.
+    /// Small records that found no room; missing gaps are accounted for at the end.
     pub(super) refused: u64,
-    writer: Option<JoinHandle<()>>,
+    writer: JoinHandle<()>,
 }
 
 impl Ring {
@@ -112,28 +117,28 @@ impl Ring {
             writer.run()
         })?;
         Ok(Self {
-            items: Some(items),
+            items,
             hold,
             taps,
             progress,
             capacity: capacity + held,
             passed_on: capacity,
             refused: 0,
-            writer: Some(thread),
+            writer: thread,
         })
     }
 
-    /// Frames in the ring.
+    /// Number of frames in the ring.
     pub(super) fn len(&self) -> usize {
         usize::try_from(self.progress.ring.load(Ordering::Relaxed)).unwrap_or(usize::MAX)
     }
 
-    /// Whether so many frames fit now. Only this end adds, so that what fits now fits.
+    /// Whether this number of frames fits now. Only the matching thread adds frames, so the answer stays true.
     pub(super) fn has_room_for(&self, frames: usize) -> bool {
         self.len() + frames <= self.capacity
     }
 
-    /// Passes an admitted frame on.
+    /// Adds a frame whose set was admitted.
     pub(super) fn frame(&mut self, frame: ReadyFrame) {
         self.progress.ring.fetch_add(1, Ordering::Relaxed);
         let pixels = frame.block.pixels();
@@ -141,7 +146,7 @@ impl Ring {
         self.small(ToWriter::Frame(frame));
     }
 
-    /// Passes a small record on.
+    /// Adds a small record: anything but a frame.
     pub(super) fn small(&mut self, item: ToWriter) {
         let Some(hold) = &mut self.hold else { return self.send(item) };
         match hold.take(item) {
@@ -150,11 +155,12 @@ impl Ring {
                 self.progress.ring.fetch_sub(gone as u64, Ordering::Relaxed);
             }
         }
-        self.tell_held();
+        self.publish_held();
         self.go_on();
     }
 
-    /// Record was pressed: the recording begins with trigger `first` of the train. What of it is not held any more is lost.
+    /// Record was pressed: the recording begins with trigger `first` of the train. Triggers of it that are not held
+    /// any more become gap records.
     pub(super) fn keep(&mut self, first: u64, cameras: usize) {
         let Some(hold) = &mut self.hold else { return };
         let (older, lost) = hold.keep(first);
@@ -164,7 +170,7 @@ impl Ring {
                 self.small(ToWriter::Gap(camera, TriggerIndex(trigger), GapCause::DroppedRingFull));
             }
         }
-        self.tell_held();
+        self.publish_held();
         self.go_on();
     }
 
@@ -173,7 +179,7 @@ impl Ring {
         self.hold.as_ref().map_or(Some(0), Hold::first)
     }
 
-    fn tell_held(&self) {
+    fn publish_held(&self) {
         if let Some(hold) = &self.hold {
             let (oldest, end) = hold.held();
             self.progress.held_from.store(oldest, Ordering::Relaxed);
@@ -181,16 +187,16 @@ impl Ring {
         }
     }
 
-    /// Passes on what was held, as far as the writer follows.
+    /// Passes held items on while the writer keeps up.
     pub(super) fn go_on(&mut self) {
-        while self.items.as_ref().is_some_and(|items| items.len() < self.passed_on)
+        while self.items.len() < self.passed_on
             && let Some(item) = self.hold.as_mut().and_then(Hold::next)
         {
             self.send(item);
         }
     }
 
-    /// Gaps count where they are the recording's.
+    /// Counts a gap record that goes to the recording.
     fn count(&self, item: &ToWriter) {
         if let ToWriter::Gap(camera, _, cause) = item {
             self.progress.gap(*camera, *cause);
@@ -199,9 +205,7 @@ impl Ring {
 
     fn send(&mut self, item: ToWriter) {
         self.count(&item);
-        if let Some(items) = &self.items
-            && let Err(error) = items.try_send(item)
-        {
+        if let Err(error) = self.items.try_send(item) {
             self.refused += 1;
             if let ToWriter::Frame(_) = error.into_inner() {
                 self.progress.ring.fetch_sub(1, Ordering::Relaxed);
@@ -209,28 +213,31 @@ impl Ring {
         }
     }
 
-    /// Lets everything be written, then closes the recording; or, without an end, leaves it.
+    /// Writes everything and closes the recording; without `end`, closes it without a verdict.
     pub(super) fn close(mut self, end: Option<SessionEnd>) {
-        if let Some((items, mut end)) = self.items.take().zip(end) {
+        if let Some(mut end) = end {
             while let Some(item) = self.hold.as_mut().and_then(Hold::next) {
                 self.count(&item);
-                // A writer that is gone has said so.
-                drop(items.send(item));
+                // A writer that has ended has reported why.
+                drop(self.items.send(item));
             }
-            // Nothing is of a recording whose beginning nobody named.
+            // Before Record, no trigger belongs to the recording.
             end.triggers_emitted = match self.first() {
                 Some(first) => end.triggers_emitted.map(|emitted| emitted.saturating_sub(first)),
                 None => Some(0),
             };
-            drop(items.send(ToWriter::End(end)));
+            drop(self.items.send(ToWriter::End(end)));
         }
-        self.items = None;
-        if self.writer.take().is_some_and(|writer| writer.join().is_err()) {
+        drop(self.items);
+        if self.writer.join().is_err() {
             tracing::error!("the writer panicked");
         }
     }
 }
 
+/// The writer's thread, which [`Ring::start`] starts. It owns the recording, and writes what the queue brings in
+/// order. It reports its first failure, and still accounts for all that follows. It ends with the end of the session,
+/// whose verdict it reports, or when the queue is dropped.
 struct Writer {
     sink: Box<dyn Sink>,
     inbox: Receiver<ToWriter>,
@@ -270,7 +277,7 @@ impl Writer {
             Some(frames) => {
                 frames.fetch_add(1, Ordering::Relaxed);
             }
-            // The recording has accounted for a frame that it could not write.
+            // The recording itself has written the gap record for a frame that it could not write.
             None => self.progress.gap(camera, GapCause::DroppedDisk),
         }
         self.progress.ring.fetch_sub(1, Ordering::Relaxed);
@@ -279,7 +286,7 @@ impl Writer {
         self.judge(written);
     }
 
-    /// The first failure is reported.
+    /// Reports the first failure of the recording to the node.
     fn judge(&mut self, written: Result<(), RecordError>) {
         let Err(error) = written else { return };
         if !std::mem::replace(&mut self.failed, true) {

@@ -1,28 +1,30 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Cameras through Aravis 0.8: with its folder the only place that names it.
 //!
-//! What bites, and how it is met here (facts measured on 0.8.26):
-//! * A failed take-over of control is no error of `Camera::new`: [`open`](CameraBackend::open) asks for it.
-//! * Late blocks of a reused stream are thrown away silently: every arm makes a fresh one.
+//! Pitfalls of Aravis, and what is done about them here (measured on 0.8.26):
+//! * `Camera::new` succeeds without control of the camera: [`open`](CameraBackend::open) checks for it.
+//! * Late blocks of a reused stream are thrown away silently: every session gets a fresh stream.
 //! * Automatic packet size may exceed the MTU: it is explicit, adjustment is off.
 //! * An incomplete frame holds back later ones for `frame-retention`: it is set to a few trigger periods.
-//! * A truncated packet counts as a whole one: GigE blocks carry [`Canaries`], and the bytes that arrived are counted.
-//! * It calls any frame complete whose packets came, whatever its leader says: each is held against its contract.
-//! * Without a tick frequency it stamps frames with the host's clock: such a stamp is none.
+//! * A truncated packet counts as a whole one: GigE blocks carry [`Canaries`], and the bytes that arrived are
+//!   counted.
+//! * A frame is complete when its packets came, whatever its leader describes: each frame is checked against its
+//!   contract.
+//! * Without a tick frequency frames get the host's time as timestamp: such a timestamp is ignored.
 
+use self::registers::holder;
+use super::backend::{
+    Camera, CameraBackend, CameraClockSample, CameraIdentity, CameraListing, FrameStream, PacketTest,
+    Received, StreamOptions, Transfer,
+};
 use super::canary::Canaries;
 use super::chunks::first_chunk;
 use super::contract::{Breach, Chunks, FrameContract, FrameForm, Payload};
 use super::device_clock::{self, DeviceClock};
-use super::features::{Failed, Features, read_state};
+use super::error::CameraError;
+use super::features::{Failed, Features, or_reason};
 use super::packet_size;
-use super::profile::trigger_lines;
-use super::set_up::{changed, set_up};
 use super::unpack::{take_plane, unpack};
-use super::{
-    Camera, CameraBackend, CameraClockSample, CameraError, CameraIdentity, CameraListing, Change,
-    FrameStream, PacketTest, Received, SetUp, State, StreamOptions, Transfer, Wishes,
-};
 use crate::base::ids::{BlockId, one_line};
 use crate::config::SocketMode;
 use crate::host::frame_memory::Block;
@@ -32,7 +34,6 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use glib::prelude::{Cast, ObjectExt};
 use glib::translate::{ToGlibPtr, from_glib_full};
 use std::ffi::c_void;
-use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -41,14 +42,11 @@ mod checked;
 mod device_features;
 #[cfg(test)]
 mod fake_tests;
-mod filter;
+mod registers;
 mod test_packets;
 
-/// No sensor has more columns or rows.
+/// Largest number of columns or rows that is accepted; no sensor has as many.
 const SIDE_MAX: usize = 1 << 20;
-/// No stream has smaller packets: the headers take up to 48 bytes.
-const PACKET_LEAST: u32 = 128;
-const READING_PACKET_SIZE: &str = "reading the packet size";
 
 /// The cameras that Aravis can reach.
 #[derive(Debug, Default)]
@@ -66,7 +64,7 @@ impl CameraBackend for AravisCameras {
             one_line(unsafe { checked::text(pointer) }.unwrap_or_default())
         };
         let describe = |i| {
-            // SAFETY: i is below the count just asked for.
+            // SAFETY: i is below the count of devices.
             unsafe {
                 CameraListing {
                     id: text(aravis_sys::arv_get_device_id(i)),
@@ -83,7 +81,7 @@ impl CameraBackend for AravisCameras {
 
     fn open(&mut self, address: &str) -> Result<Box<dyn Camera>, CameraError> {
         let not_found =
-            |e: glib::Error| CameraError::NotFound { address: address.to_owned(), detail: said(&e) };
+            |e: glib::Error| CameraError::NotFound { address: address.to_owned(), detail: message_of(&e) };
         let camera = checked::open(address).map_err(not_found)?;
         let device = camera
             .device()
@@ -102,31 +100,22 @@ impl CameraBackend for AravisCameras {
     }
 }
 
-/// Who controls a GigE camera, by its bootstrap registers; not every camera has them.
-fn holder(device: &aravis::Device) -> Option<String> {
-    const PORT: u64 = 0x0a04;
-    const ADDRESS: u64 = 0x0a14;
-    let read = |register| checked::register(device, register).ok();
-    let address = read(ADDRESS).filter(|&bits| bits != 0)?;
-    Some(format!("{}:{}", Ipv4Addr::from_bits(address), read(PORT)? & 0xffff))
-}
-
+/// A camera that Aravis has opened and this program controls, until it is dropped or control is lost.
 struct AravisCamera {
     camera: aravis::Camera,
     device: aravis::Device,
     identity: CameraIdentity,
     lost: Arc<AtomicBool>,
-    /// How its clock is read, or why it is not, once that is known.
+    /// How the clock is read, or why it cannot be; `None` before the first attempt.
     clock: Option<Result<DeviceClock, String>>,
 }
 
 fn link_error(doing: &'static str) -> impl Fn(glib::Error) -> CameraError {
-    move |e| CameraError::Link { doing, detail: said(&e) }
+    move |e| CameraError::Link { doing, detail: message_of(&e) }
 }
 
-/// What Aravis says, for people: without the GenICam nodes that it went through, `[Width] [WidthReg] ...`, which go to
-/// the log.
-fn said(error: &glib::Error) -> String {
+/// Aravis' error text for messages, without the GenICam nodes `[Width] [WidthReg] ...` in front, which go to the log.
+fn message_of(error: &glib::Error) -> String {
     let whole = error.message();
     let short = without_nodes(whole);
     if short != whole {
@@ -135,49 +124,17 @@ fn said(error: &glib::Error) -> String {
     short.to_owned()
 }
 
-/// A message without the names in brackets before it.
+/// A message without the names in brackets in front of it.
 fn without_nodes(message: &str) -> &str {
     let mut text = message.trim();
     while let Some((_, rest)) = text.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
-        // Where there is nothing but names they are all that is known.
+        // A message of names alone stays as it is.
         if rest.trim().is_empty() {
             return message.trim();
         }
         text = rest.trim_start();
     }
     text
-}
-
-impl AravisCamera {
-    /// Sets the port of a GigE camera's stream to 0: nobody takes its frames. What is left in it is dropped then; some send it at the start of
-    /// the next acquisition otherwise (aravis#762). The next stream opens the channel again.
-    fn close_stream_channel(&self) {
-        const HOST_PORT: u64 = 0x0d00;
-        let Some(gv) = self.device.downcast_ref::<aravis::GvDevice>() else { return };
-        if let Err(error) = gv.write_register(HOST_PORT, 0) {
-            tracing::debug!("the stream channel stays open: {}", said(&error));
-        }
-    }
-
-    /// Whether a packet of the size that the camera has made of the one asked for holds more than its headers: Aravis divides
-    /// a frame by what is left, and ends the process where that is nothing.
-    fn packets_have_room(&self) -> Result<(), CameraError> {
-        let Some(gv) = self.device.downcast_ref::<aravis::GvDevice>() else { return Ok(()) };
-        let bytes = gv.packet_size().map_err(link_error(READING_PACKET_SIZE))?;
-        match bytes >= PACKET_LEAST {
-            true => Ok(()),
-            false => Err(CameraError::Nonsense {
-                doing: READING_PACKET_SIZE,
-                detail: format!("packets of {bytes} bytes, headers counted in"),
-            }),
-        }
-    }
-
-    /// What a GigE camera says of its control privilege: 0 when nobody has it.
-    fn privilege(&self) -> Option<u32> {
-        const PRIVILEGE: u64 = 0x0a00;
-        checked::register(self.device.downcast_ref::<aravis::GvDevice>()?, PRIVILEGE).ok()
-    }
 }
 
 impl Camera for AravisCamera {
@@ -190,36 +147,20 @@ impl Camera for AravisCamera {
     }
 
     fn not_ours(&self) -> Option<CameraError> {
-        // One that does not answer has no holder that it could name.
+        // A camera that does not answer cannot report its controller.
         let privilege = self.privilege()?;
         let holder = holder(&self.device).filter(|_| privilege != 0);
         Some(CameraError::NotOurs { holder, detail: "its control channel was lost".to_owned() })
     }
 
-    fn set_up(&mut self, wishes: &Wishes) -> Result<SetUp, CameraError> {
-        set_up(self, wishes)
-    }
-
-    fn trigger_lines(&self) -> Vec<String> {
-        trigger_lines(self)
-    }
-
-    fn state(&mut self) -> Result<State, CameraError> {
-        read_state(self)
-    }
-
-    fn changed(&mut self, watched: &State) -> Result<Vec<Change>, CameraError> {
-        changed(self, watched)
+    fn features(&self) -> &dyn Features {
+        self
     }
 
     fn image_size(&mut self) -> Result<(usize, usize), CameraError> {
         const DOING: &str = "reading the image size";
-        let read = |feature| match self.integer(feature) {
-            Ok(value) => Ok(value),
-            Err(Failed::Lost(error)) => Err(error),
-            Err(Failed::Refused(detail) | Failed::Nonsense(detail)) => {
-                Err(CameraError::Link { doing: DOING, detail })
-            }
+        let read = |feature| {
+            or_reason(self.integer(feature))?.map_err(|detail| CameraError::Link { doing: DOING, detail })
         };
         let (width, height) = (read("Width")?, read("Height")?);
         let side = |pixels: i64| usize::try_from(pixels).ok().filter(|side| (1..=SIDE_MAX).contains(side));
@@ -230,15 +171,16 @@ impl Camera for AravisCamera {
     }
 
     fn sample_clock(&mut self) -> Result<Option<CameraClockSample>, CameraError> {
+        const DOING: &str = "reading its clock";
         let clock = match &self.clock {
             Some(known) => known.clone(),
-            None => self.clock.insert(device_clock::find(self)?).clone(),
+            None => self.clock.insert(or_reason(device_clock::find(self))?).clone(),
         };
         let Ok(clock) = clock else { return Ok(None) };
         clock.sample(self).map(Some).map_err(|failed| match failed {
             Failed::Lost(error) => error,
-            Failed::Refused(detail) => CameraError::Link { doing: "reading its clock", detail },
-            Failed::Nonsense(detail) => CameraError::Nonsense { doing: "reading its clock", detail },
+            Failed::Refused(detail) => CameraError::Link { doing: DOING, detail },
+            Failed::Nonsense(detail) => CameraError::Nonsense { doing: DOING, detail },
         })
     }
 
@@ -251,10 +193,7 @@ impl Camera for AravisCamera {
     }
 
     fn test_packet_size(&mut self, bytes: u32) -> Result<Option<PacketTest>, CameraError> {
-        match self.device.is::<aravis::GvDevice>() {
-            true => self.test_packets(bytes),
-            false => Ok(None),
-        }
+        if self.has_registers() { self.test_packets(bytes) } else { Ok(None) }
     }
 
     fn create_stream(
@@ -265,10 +204,10 @@ impl Camera for AravisCamera {
         let is_gigevision = self.device.is::<aravis::GvDevice>();
         if is_gigevision {
             self.camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::Never);
-            // A size that the camera does not take is no loss of its link.
-            packet_size::set(self, options.packet_bytes)?
+            // A size that the camera refuses is a problem of its set-up, not of its link.
+            or_reason(packet_size::set(self, options.packet_bytes))?
                 .map_err(|problem| CameraError::SetUp { problems: vec![problem] })?;
-            self.packets_have_room()?;
+            self.packet_bytes()?;
             let socket = match options.socket {
                 SocketMode::Auto => aravis::GvStreamOption::NONE,
                 SocketMode::Standard => aravis::GvStreamOption::PACKET_SOCKET_DISABLED,
@@ -280,14 +219,9 @@ impl Camera for AravisCamera {
             tune(gv, options.period_ns);
             self.restrict(gv, options.socket)?;
         }
-        let canaries = match self.device.downcast_ref::<aravis::GvDevice>() {
-            // The size that the camera made of the one asked for: packets have their places by it.
-            Some(gv) => {
-                let bytes = gv.packet_size().map_err(link_error(READING_PACKET_SIZE))?;
-                Some(Canaries::new(options.contract.sent_bytes(), usize::try_from(bytes).unwrap_or(0)))
-            }
-            None => None,
-        };
+        // The marks lie at the ends of packets, so they follow from the size that the camera made of the requested one.
+        let marks = |bytes| Canaries::new(options.contract.sent_bytes(), bytes);
+        let canaries = self.packet_bytes()?.map(marks);
         Ok(Box::new(AravisStream::new(stream, blocks, canaries, options.contract)))
     }
 
@@ -336,7 +270,7 @@ unsafe extern "C" fn on_stream_thread(
     }
 }
 
-/// Timeouts in trigger periods, within what makes sense on a network (microseconds).
+/// Sets timeouts in trigger periods, within bounds that suit a network (microseconds), and the socket's buffer.
 fn tune(stream: &aravis::GvStream, period_ns: u64) {
     let periods_us = |n: u64| u32::try_from(n * period_ns / 1000).unwrap_or(u32::MAX);
     stream.set_packet_timeout(periods_us(1).clamp(2_000, 20_000));
@@ -346,7 +280,7 @@ fn tune(stream: &aravis::GvStream, period_ns: u64) {
     stream.set_socket_buffer_size(8 << 20);
 }
 
-/// Counters of a stream, by Aravis' names.
+/// Names of a stream's counters in Aravis.
 const COUNTERS: [&str; 8] = [
     "n_completed_buffers",
     "n_failures",
@@ -358,8 +292,9 @@ const COUNTERS: [&str; 8] = [
     "n_resent_packets",
 ];
 
-/// A stream and the blocks that belong to it. A block is either lent to Aravis, or out with a frame while
-/// the Aravis buffer that wraps it waits in `parked`.
+/// A stream and its blocks. The receiver's thread owns it. A block is either lent to Aravis, or out with a frame
+/// while the Aravis buffer that wraps it waits in `parked`; a block that is dropped comes home and is lent again.
+/// Dropping the stream ends Aravis' thread.
 struct AravisStream {
     /// Before `lent`, as fields are dropped in this order: the last reference to a stream ends its thread.
     stream: aravis::Stream,
@@ -367,11 +302,11 @@ struct AravisStream {
     parked: Vec<Option<aravis::Buffer>>,
     home: Sender<Block>,
     returns: Receiver<Block>,
-    /// What a whole frame overwrites; other transports have no packets that could be cut.
+    /// Marks that a whole frame overwrites; `None` for transports without packets that could be truncated.
     canaries: Option<Canaries>,
-    /// What every frame must be.
+    /// The contract of every frame.
     contract: FrameContract,
-    /// The counters that this transport has: Aravis takes the question for another one for a mistake.
+    /// The counters that this transport has; Aravis logs an error when others are read.
     counters: Vec<&'static str>,
 }
 
@@ -390,7 +325,7 @@ impl AravisStream {
         let (mut lent, mut parked) = (Vec::new(), Vec::new());
         for mut block in blocks {
             plant(canaries.as_ref(), &mut block);
-            // Where there is room for chunks, more than that is not looked for.
+            // With room for chunks, the byte that reveals frames that are too long is not used.
             let over = contract.chunk_room == 0
                 && canaries.as_ref().is_some_and(|canaries| block.spare() > 0 && canaries.last_has_room());
             let (pointer, length) = (block.pixel_pointer(), block.received().len() + usize::from(over));
@@ -408,11 +343,11 @@ impl AravisStream {
         Self { stream, lent, parked, home, returns, canaries, contract, counters }
     }
 
-    /// What a frame is that Aravis calls complete.
+    /// Checks a frame that Aravis reports as complete.
     fn judge(&self, buffer: &aravis::Buffer, block: &Block) -> Transfer {
         let is_whole =
             || self.canaries.as_ref().is_none_or(|canaries| canaries.survivor(block.received()).is_none());
-        // Another datagram took the leader's place, and what the buffer says is of an older frame.
+        // Another datagram took the leader's place, and the buffer still describes an older frame.
         if self.canaries.is_some() && buffer.frame_id() == 0 {
             return Transfer::Unwritten;
         }
@@ -421,14 +356,14 @@ impl AravisStream {
             Err(payload) => Some(Breach::Payload(payload)),
         };
         match breach {
-            // A packet that was cut, as opposed to packets of another size.
+            // A truncated packet, as opposed to packets of another size.
             None | Some(Breach::Bytes { .. } | Breach::Chunks { .. }) if !is_whole() => Transfer::Unwritten,
             None => Transfer::Complete,
             Some(breach) => Transfer::Breach(breach),
         }
     }
 
-    /// What a frame is, or what came instead of one.
+    /// The form of a frame, or the payload that came instead of an image.
     fn form_of(&self, buffer: &aravis::Buffer, block: &Block) -> Result<FrameForm, Payload> {
         use aravis::BufferPayloadType as Type;
         let with_chunks = match buffer.payload_type() {
@@ -441,7 +376,7 @@ impl AravisStream {
             Type::H264 => return Err(Payload::Other("a film")),
             _ => return Err(Payload::Other("of an unknown kind")),
         };
-        // The leader of chunk data has no word of an image.
+        // The leader of chunk data does not describe an image.
         let image = match buffer.n_parts() {
             1 => Some(checked::image_of(buffer)),
             0 if with_chunks => None,
@@ -449,13 +384,13 @@ impl AravisStream {
         };
         let bytes = checked::bytes_of(buffer);
         let chunks = with_chunks.then(|| Chunks {
-            // GigE Vision has the upper byte first, as its registers.
+            // In GigE Vision the upper byte comes first, in USB3 Vision the lower.
             first: block.received().get(..bytes).and_then(|all| first_chunk(all, self.canaries.is_some())),
         });
         Ok(FrameForm { image, chunks, bytes })
     }
 
-    /// Makes the pixels of what was received, where they are not the same.
+    /// Converts the received image to the recorded one: one plane of a mosaic, or 8 bits.
     fn to_8_bits(&self, block: &mut Block) -> Transfer {
         let FrameContract { pixel, size, place, .. } = self.contract;
         if pixel.step() > 1 {
@@ -468,7 +403,7 @@ impl AravisStream {
         }
     }
 
-    /// Lends blocks that came back to Aravis again.
+    /// Lends blocks that came home to Aravis again.
     fn recycle(&mut self) {
         for mut block in self.returns.try_iter() {
             plant(self.canaries.as_ref(), &mut block);
@@ -478,7 +413,7 @@ impl AravisStream {
             if let Some(slot) = slot {
                 self.lent[slot] = Some(block);
                 if let Some(buffer) = self.parked[slot].take() {
-                    // Both are set when a frame's leader comes: without one they would be those of another frame.
+                    // A leader sets both; without one they would be those of an earlier frame.
                     buffer.set_frame_id(0);
                     buffer.set_timestamp(0);
                     self.stream.push_buffer(buffer);
@@ -515,20 +450,20 @@ impl FrameStream for AravisStream {
             aravis::BufferStatus::SizeMismatch => Transfer::SizeMismatch,
             _ => Transfer::MissingPackets,
         };
-        let (camera_ns, host_ns) = (buffer.timestamp(), buffer.system_timestamp());
-        let received = Received {
+        let (block_id, camera_ns) = (BlockId(buffer.frame_id()), buffer.timestamp());
+        let host_ns = buffer.system_timestamp();
+        self.parked[slot] = Some(buffer);
+        Some(Received {
             transfer,
-            block_id: BlockId(buffer.frame_id()),
-            // Where Aravis has no unit for the camera's stamp, it gives the host's.
+            block_id,
+            // Without a unit for the camera's timestamp, Aravis gives the host's time.
             camera_ns: if camera_ns == host_ns { 0 } else { camera_ns },
             host_ns,
             block,
-        };
-        self.parked[slot] = Some(buffer);
-        Some(received)
+        })
     }
 
-    fn heard(&self) -> u64 {
+    fn activity(&self) -> u64 {
         // USB3 Vision has no packets.
         let packets = self.count("n_received_packets").unwrap_or(0);
         if packets > 0 { packets } else { self.count("n_completed_buffers").unwrap_or(0) }
@@ -541,12 +476,12 @@ impl FrameStream for AravisStream {
 
 impl Drop for AravisStream {
     fn drop(&mut self) {
-        // No thread of Aravis may write into the blocks when `lent` is dropped. Giving the last reference up ends it, and
-        // to end it before that as well makes Aravis 0.8.26 log a failed assertion for every stream.
+        // Aravis' thread must not write into the blocks when `lent` is dropped. Dropping the last reference ends the
+        // thread; ending it before that as well makes Aravis 0.8.26 log a failed assertion.
         if self.stream.ref_count() > 1 {
             self.stream.stop_thread(true);
         }
-        // Those on their way back would otherwise wait in the channel for the last frame that is still out.
+        // Blocks on their way home would otherwise stay in the channel until the last frame is dropped.
         self.returns.try_iter().for_each(drop);
     }
 }
@@ -556,7 +491,7 @@ mod tests {
     use super::without_nodes;
 
     #[test]
-    fn people_are_not_told_the_nodes_of_genicam() {
+    fn messages_have_no_nodes_of_genicam() {
         let trace = "[GevTimestampValue] [GevTimestampReg] GigEVision read_memory timeout";
         assert_eq!(without_nodes(trace), "GigEVision read_memory timeout");
         assert_eq!(without_nodes("Device 'x' not found [1]"), "Device 'x' not found [1]");

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Marks in the block that a whole transfer overwrites: what finds a packet that arrived short.
+//! Marks in the block that a whole transfer overwrites; they reveal a packet that arrived short.
 //!
-//! Aravis 0.8.26 takes a truncated packet for a whole one, and calls the frame complete. Before a block is lent,
-//! the last [`MARK_BYTES`] of every packet's place get a mark that is random per stream; one that is still there
-//! when the frame is called complete was never written. A packet that lacks fewer bytes than a mark has leaves
-//! part of it only: the bytes that arrived tell.
+//! Aravis 0.8.26 takes a truncated packet for a whole one, and reports the frame as complete. Before a block is lent
+//! to Aravis, the last [`MARK_BYTES`] of every packet's place get a mark that is random per stream. A mark that is
+//! still there in a complete frame shows bytes that were never written. A packet that lacks fewer bytes than a mark
+//! has overwrites a part of the mark; then the number of bytes that arrived reveals it.
 
 use std::hash::{BuildHasher, RandomState};
 
@@ -14,19 +14,20 @@ pub const MARK_BYTES: usize = 8;
 /// IP, UDP and GVSP headers of a payload packet with 16-bit and with 64-bit block ids (GigE Vision 2, "extended").
 const HEADER_BYTES: [usize; 2] = [20 + 8 + 8, 20 + 8 + 20];
 
-/// Where the marks of a stream's blocks are, and what they look like.
+/// The marks of a stream's blocks. The stream makes them, plants them before a block is lent, and looks for survivors
+/// when the frame is complete.
 #[derive(Debug)]
 pub struct Canaries {
     /// Twice the mark, so that each of its rotations is one slice.
     secret: [u8; 2 * MARK_BYTES],
-    /// First bytes of the marks, ascending.
+    /// Positions of the marks' first bytes, ascending.
     places: Vec<usize>,
     /// Whether the last packet is shorter than the others, whatever the header.
     last_has_room: bool,
 }
 
 impl Canaries {
-    /// Marks for images of `pixel_bytes` in packets of `packet_bytes` (of the IP packet). The header in use is not
+    /// Marks for images of `pixel_bytes` in IP packets of `packet_bytes`. Which of the two headers is in use is not
     /// known before the first frame: both give places, and a whole frame overwrites them all.
     pub fn new(pixel_bytes: usize, packet_bytes: usize) -> Self {
         let mark = RandomState::new().hash_one("mark").to_le_bytes();
@@ -51,8 +52,8 @@ impl Canaries {
         Self { secret, places, last_has_room: payloads.into_iter().all(room) }
     }
 
-    /// Whether a byte more than the image has would arrive in the last packet: then room for it shows that it came,
-    /// and does not change how many packets a frame has.
+    /// Whether one byte beyond the image would arrive in the last packet. Then room for it reveals frames that are
+    /// too long, without a change of the number of packets.
     pub fn last_has_room(&self) -> bool {
         self.last_has_room
     }
@@ -132,7 +133,7 @@ mod tests {
         }
     }
 
-    /// What it costs.
+    /// Prints the time that marks take per frame.
     #[test]
     #[ignore = "prints figures and judges none: cargo test --release --lib canary -- --ignored --nocapture"]
     fn cost_per_frame() {

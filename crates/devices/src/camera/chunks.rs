@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Chunks: a payload in pieces, each followed by its id and its length, so that they are found from the end.
 
-/// Bytes of a chunk's id and length.
+/// Bytes of the id and the length behind a chunk.
 const TAIL: usize = 8;
-/// No camera appends more pieces.
+/// Most chunks that are followed; no camera appends as many.
 const CHUNKS_MAX: usize = 256;
 
-/// The length of the first chunk of a payload that is chunks from its first byte to its last. Numbers begin with their
-/// upper byte (GigE Vision) or with their lower one (USB3 Vision).
+/// The length of the first chunk of a payload that consists of chunks from its first byte to its last. Numbers begin
+/// with their upper byte (GigE Vision) or with their lower one (USB3 Vision).
 pub fn first_chunk(payload: &[u8], upper_first: bool) -> Option<usize> {
     let mut end = payload.len();
     for _ in 0..CHUNKS_MAX {
@@ -26,7 +26,7 @@ pub fn first_chunk(payload: &[u8], upper_first: bool) -> Option<usize> {
 mod tests {
     use super::first_chunk;
 
-    /// Chunks of these lengths.
+    /// A payload of chunks with these lengths.
     fn payload(lengths: &[u32], upper_first: bool) -> Vec<u8> {
         let mut bytes = Vec::new();
         for (id, length) in (1u32..).zip(lengths) {

@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a frame is: one image of grey, of the format, the size and at the place that were verified when its camera was
-//! prepared, and nothing beside it. A frame that is anything else is never recorded.
+//! The contract of a frame: one grey image with the format, the size and the place on the sensor that were verified
+//! when its camera was set up, and nothing beside it. Any other frame is not recorded.
 
-use crate::config::Pixel;
+use crate::config::{Mosaic, Pixel};
 use std::fmt;
 
-/// What every frame of a stream must be.
+/// The contract that every frame of a stream must keep. The set-up makes it from what the camera reports; streams check
+/// each frame against it while the session runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameContract {
-    /// What a pixel is as the camera sends it.
+    /// Pixel format in which the camera sends.
     pub pixel: Pixel,
-    /// Columns and rows of the recording's image.
+    /// Columns and rows of the recorded image.
     pub size: (usize, usize),
-    /// Where the recording's pixel lies among those that the camera sends for it: column and row.
+    /// Column and row of the recorded pixel within the mosaic's two by two; (0, 0) for grey.
     pub place: (usize, usize),
     /// Column and row of the sensor at which the image begins.
     pub offset: (usize, usize),
@@ -21,7 +22,7 @@ pub struct FrameContract {
 }
 
 impl FrameContract {
-    /// Bytes of the image in a recording: one for each pixel.
+    /// Bytes of the recorded image: one per pixel.
     pub fn pixels(&self) -> usize {
         self.size.0 * self.size.1
     }
@@ -42,11 +43,14 @@ impl FrameContract {
         self.sent_bytes() + self.chunk_room
     }
 
-    /// What the recording does not have of what the camera sends.
+    /// Remarks about the parts of the camera's image that are not recorded.
     pub fn loss(&self) -> Vec<String> {
         let (name, depth) = (self.pixel.name(), self.pixel.depth());
         let bits = depth.checked_sub(8).filter(|lost| *lost > 0).map(|lost| {
-            format!("its pixels are {name}: the upper 8 of their {depth} bits are recorded, and the lower {lost} are lost")
+            format!(
+                "its pixels are {name}: the upper 8 of their {depth} bits are recorded, and the lower {lost} are \
+                 lost"
+            )
         });
         let chunks = (self.chunk_room > 0).then(|| {
             format!("up to {} bytes of chunks follow each image, and are not recorded", self.chunk_room)
@@ -54,7 +58,8 @@ impl FrameContract {
         let plane = (self.pixel.step() > 1).then(|| {
             let ((width, height), (columns, rows), (column, row)) = (self.size, self.sent_size(), self.place);
             format!(
-                "of its {name} of {columns} x {rows} the plane of the head's colour is recorded, {width} x {height}: pixel \
+                "of its {name} of {columns} x {rows} the plane of the head's colour is recorded, {width} x {height}: \
+                 pixel \
                  (u, v) of frames and calibration is pixel (2u + {column}, 2v + {row}) of the camera"
             )
         });
@@ -62,96 +67,71 @@ impl FrameContract {
     }
 }
 
-/// What a frame is.
+/// The form of a received frame, to be compared with its contract.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameForm {
-    /// The image, as its leader has it; `None` where that says nothing of one (chunk data).
+    /// The image as its leader describes it; `None` where the leader describes none (chunk data).
     pub image: Option<ImageForm>,
-    /// Chunks follow it.
+    /// The chunks that follow the image, where there are any.
     pub chunks: Option<Chunks>,
-    /// Bytes that arrived; one more than the image has where more than that came.
+    /// Bytes that arrived; one more than the image has where even more came.
     pub bytes: usize,
 }
 
-/// Chunks of a frame.
+/// The chunks of a received frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Chunks {
-    /// The length of the first one, which is the image, where all that arrived is chunks.
+    /// Length of the first chunk, which is the image; `None` where the bytes that arrived are not chunks as a whole.
     pub first: Option<usize>,
 }
 
-/// What a leader says of an image.
+/// An image as the leader of its frame describes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ImageForm {
-    /// PFNC code of its pixels.
+    /// PFNC code of the pixel format.
     pub pixel_format: u32,
-    /// Columns and rows.
+    /// Columns and rows of the image.
     pub size: (i32, i32),
-    /// Column and row of the sensor at which it begins.
+    /// Column and row of the sensor at which the image begins.
     pub offset: (i32, i32),
-    /// Bytes after every row, and rows after the last one.
+    /// Bytes of padding after every row, and rows of padding after the last one.
     pub padding: (i32, i32),
 }
 
-/// How a frame breaks the contract.
+/// The first difference between a frame and its contract. `expected` is as verified when the camera was set up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Breach {
-    /// It is no plain image: something else, several parts, or an image with chunks that were not agreed on.
+    /// Not a plain image: something else, several parts, or an image with chunks that the contract excludes.
     Payload(Payload),
-    /// Its pixels are of another format.
-    PixelFormat {
-        /// PFNC code.
-        found: u32,
-        /// As verified.
-        expected: Pixel,
-    },
-    /// Values are larger than the format has bits.
+    /// Another pixel format; `found` is its PFNC code.
+    PixelFormat { found: u32, expected: Pixel },
+    /// Values that are larger than the pixel format has bits.
     TooLarge(Pixel),
-    /// It has another size.
-    Size {
-        /// Columns and rows.
-        found: (i32, i32),
-        /// As verified.
-        expected: (usize, usize),
-    },
-    /// It is another part of the sensor.
-    Offset {
-        /// Column and row.
-        found: (i32, i32),
-        /// As verified.
-        expected: (usize, usize),
-    },
-    /// Bytes after every row, and rows after the last one.
+    /// Another size: columns and rows.
+    Size { found: (i32, i32), expected: (usize, usize) },
+    /// Another part of the sensor: its first column and row.
+    Offset { found: (i32, i32), expected: (usize, usize) },
+    /// Padding: bytes after every row, and rows after the last one.
     Padding(i32, i32),
-    /// Its chunks do not begin with an image of the length agreed on, or are not whole.
-    Chunks {
-        /// Bytes of the first one; `None` where what arrived is no chunks.
-        first: Option<usize>,
-        /// As verified.
-        expected: usize,
-    },
-    /// More or fewer bytes arrived than it has pixels.
-    Bytes {
-        /// Bytes; one more than expected stands for any number.
-        found: usize,
-        /// As verified.
-        expected: usize,
-    },
+    /// The chunks are not whole (`first` is `None`), or do not begin with an image of the expected length in bytes.
+    Chunks { first: Option<usize>, expected: usize },
+    /// More or fewer bytes arrived than the image has; one more than expected stands for any larger number.
+    Bytes { found: usize, expected: usize },
 }
 
-/// What came instead of a plain image.
+/// The payload that came instead of a plain image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Payload {
     /// An image followed by chunks.
     WithChunks,
-    /// So many parts.
+    /// This number of parts (multi-part payload).
     Parts(u32),
-    /// Anything else, by its name.
+    /// Any other payload, by its name.
     Other(&'static str),
 }
 
 impl FrameContract {
-    /// How a frame breaks it.
+    /// The first difference between a frame and this contract.
     pub fn breach(&self, form: &FrameForm) -> Option<Breach> {
         if form.chunks.is_some() && self.chunk_room == 0 {
             return Some(Breach::Payload(Payload::WithChunks));
@@ -162,14 +142,14 @@ impl FrameContract {
         let (found, expected) = (form.bytes, self.sent_bytes());
         match form.chunks {
             None => (found != expected).then_some(Breach::Bytes { found, expected }),
-            // Either shows that no packet was short: the chunks are whole, or as many bytes came as the camera had announced.
+            // Either condition shows that no packet was short: whole chunks, or as many bytes as the camera announced.
             Some(Chunks { first }) if first == Some(expected) => None,
             Some(Chunks { first: None }) if form.image.is_some() && found == self.received_bytes() => None,
             Some(Chunks { first }) => Some(Breach::Chunks { first, expected }),
         }
     }
 
-    /// How an image breaks it.
+    /// The first difference between an image and this contract.
     fn image_breach(&self, form: &ImageForm) -> Option<Breach> {
         let same = |found: (i32, i32), expected: (usize, usize)| {
             usize::try_from(found.0) == Ok(expected.0) && usize::try_from(found.1) == Ok(expected.1)
@@ -188,23 +168,16 @@ impl FrameContract {
     }
 }
 
-/// Names of formats that no session takes, and that cameras have most often.
-const OTHERS: [(u32, &str); 8] = [
-    (0x0108_0008, "BayerGR8"),
-    (0x0108_0009, "BayerRG8"),
-    (0x0108_000a, "BayerGB8"),
-    (0x0108_000b, "BayerBG8"),
-    (0x0218_0014, "RGB8"),
-    (0x0218_0015, "BGR8"),
-    (0x0210_001f, "YUV422_8_UYVY"),
-    (0x0210_0032, "YUV422_8"),
-];
+/// Names of the formats that cameras have most often and no session records.
+const OTHERS: [(u32, &str); 4] =
+    [(0x0218_0014, "RGB8"), (0x0218_0015, "BGR8"), (0x0210_001f, "YUV422_8_UYVY"), (0x0210_0032, "YUV422_8")];
 
-/// A pixel format's name, and its code where it has none here.
+/// A pixel format's name, or its PFNC code where the name is not known here.
 pub fn format_name(code: u32) -> String {
-    let grey = Pixel::GREY.iter().find(|pixel| pixel.code() == code).map(|pixel| pixel.name());
-    let known = grey.or_else(|| OTHERS.iter().find(|(known, _)| *known == code).map(|(_, name)| *name));
-    known.map_or_else(|| format!("pixel format {code:#010x}"), str::to_owned)
+    let known = Pixel::GREY.into_iter().chain(Mosaic::ALL.map(Pixel::Bayer8));
+    let known = known.map(|pixel| (pixel.code(), pixel.name())).chain(OTHERS);
+    let mut named = known.filter(|(known, _)| *known == code);
+    named.next().map_or_else(|| format!("pixel format {code:#010x}"), |(_, name)| name.to_owned())
 }
 
 impl fmt::Display for Breach {
@@ -220,8 +193,9 @@ impl fmt::Display for Breach {
             }
             Self::TooLarge(pixel) => write!(
                 f,
-                "it has values of more than {} bits, which {} has not: the camera may put them at the upper end of their \
-                 bytes; name another format (pixel)",
+                "it has values of more than {} bits, which {} has not: the camera may put them at the upper end of \
+                 their \
+                 bytes; set pixel to another format",
                 pixel.depth(),
                 pixel.name()
             ),
@@ -244,7 +218,8 @@ impl fmt::Display for Breach {
             }
             Self::Chunks { first: None, expected } => write!(
                 f,
-                "what follows its image of {expected} bytes is no whole row of chunks: a packet arrived short, or the camera \
+                "what follows its image of {expected} bytes is no whole row of chunks: a packet arrived short, or the \
+                 camera \
                  counts them otherwise; switch its chunks off (ChunkModeActive)"
             ),
             Self::Bytes { found, expected } if found > expected => {
@@ -325,7 +300,7 @@ mod tests {
         assert!(plane.loss()[0].contains("(2u + 1, 2v + 0)"), "{:?}", plane.loss());
     }
 
-    /// Where they were agreed on, chunks follow the image: their own lengths say that all of them came, or all bytes do.
+    /// With room for chunks, chunks may follow the image: their own lengths, or all bytes, show that they are whole.
     #[test]
     fn chunks_are_taken_where_there_is_room_for_them() {
         let room = FrameContract { chunk_room: 24, ..CONTRACT };
@@ -344,6 +319,6 @@ mod tests {
             FrameForm { image: Some(ImageForm { size: (320, 100), ..IMAGE }), ..with(Some(64_000), 64_024) };
         assert!(matches!(room.breach(&wrong), Some(Breach::Size { .. })));
         let padded = FrameForm { bytes: 64_024, ..of(IMAGE) };
-        assert!(matches!(room.breach(&padded), Some(Breach::Bytes { .. })), "no chunks are said");
+        assert!(matches!(room.breach(&padded), Some(Breach::Bytes { .. })), "the frame has no chunks");
     }
 }

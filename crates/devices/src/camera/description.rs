@@ -1,112 +1,114 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a camera says of its own features: names, kinds, entries and bounds, without their values.
+//! The description of a camera's features: names, kinds, entries and bounds, without their values.
 
-/// What kind of value a feature has.
+use std::fmt;
+
+/// The kind of a feature's value, by its interface in GenICam.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// A whole number.
     Integer,
-    /// A number.
     Float,
-    /// On or off.
     Boolean,
-    /// One of its entries.
     Enumeration,
-    /// Something to do.
     Command,
-    /// A text.
     Text,
-    /// Anything else.
     Other,
 }
 
-/// What may be done with a feature.
+/// Whether a feature can be read, written, or both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
-    /// It can be read.
     Read,
-    /// It can be written.
     Write,
-    /// Both.
     ReadWrite,
 }
 
-/// Limits of a number; `None`: none is stated, or it depends on other features.
+/// Limits of a number in the feature's unit; `None`: not stated, or dependent on other features.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Bounds {
-    /// The least value.
     pub min: Option<f64>,
-    /// The largest value.
     pub max: Option<f64>,
     /// The step from one value to the next.
     pub step: Option<f64>,
 }
 
-/// One feature.
+impl Bounds {
+    /// Whether a number lies outside the stated limits.
+    pub fn exclude(&self, number: f64) -> bool {
+        self.min.is_some_and(|min| number < min) || self.max.is_some_and(|max| number > max)
+    }
+}
+
+impl fmt::Display for Bounds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let edge = |bound: Option<f64>| bound.map_or_else(|| "any".to_owned(), |bound| bound.to_string());
+        write!(f, "{} to {}", edge(self.min), edge(self.max))
+    }
+}
+
+/// One feature of a camera, as its description has it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Feature {
-    /// What kind of value it has.
+    /// The kind of the feature's value.
     pub kind: Kind,
-    /// What may be done with it.
+    /// Whether it can be read, written, or both.
     pub access: Access,
-    /// In what it counts, as the camera writes it.
+    /// The unit of its number, as the camera spells it.
     pub unit: Option<String>,
-    /// Its limits.
-    pub bounds: Bounds,
-    /// Of an enumeration: the names of its entries.
+    /// Names of the entries of an enumeration; empty for other kinds.
     pub entries: Vec<String>,
 }
 
 impl Feature {
-    /// Whether it can be written.
+    /// Whether the feature can be written.
     pub fn is_writable(&self) -> bool {
         self.access != Access::Read
     }
 
-    /// Whether it is a number.
+    /// Whether its value is a number.
     pub fn is_number(&self) -> bool {
         matches!(self.kind, Kind::Integer | Kind::Float)
     }
 
-    /// The first of these entries that it has, whatever its spelling.
+    /// The first of these entries that the feature has, in any spelling ([`plain`]).
     pub fn entry(&self, wanted: &[&str]) -> Option<&str> {
         let find = |wanted: &&str| self.entries.iter().find(|entry| plain(entry) == plain(wanted));
         wanted.iter().find_map(find).map(String::as_str)
     }
 }
 
-/// A camera's features. Implemented for opened cameras and for tables of published ones.
+/// A camera's features. Implemented by opened cameras, and in tests by tables of published descriptions.
 pub trait Description {
-    /// All names.
+    /// The names of all features.
     fn names(&self) -> Vec<String>;
 
-    /// A feature that the camera has.
+    /// The feature of this name, where the camera implements it.
     fn feature(&self, name: &str) -> Option<Feature>;
 }
 
-/// A name without what different vendors write differently: case, blanks, hyphens, underscores.
+/// A name in small letters and digits only: vendors differ in case, blanks, hyphens and underscores.
 pub fn plain(name: &str) -> String {
     name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect()
 }
 
-/// Names are listed up to so many.
+/// Longest list of names in a message.
 const LISTED: usize = 24;
 
-/// Names, separated by commas.
-pub fn list(names: &[String]) -> String {
-    let mut text = names.iter().take(LISTED).map(String::as_str).collect::<Vec<_>>().join(", ");
+/// A list of names for a message, separated by commas.
+pub fn list(names: &[impl AsRef<str>]) -> String {
+    let mut text = names.iter().take(LISTED).map(AsRef::as_ref).collect::<Vec<_>>().join(", ");
     if names.len() > LISTED {
         text += &format!(" and {} more", names.len() - LISTED);
     }
     if text.is_empty() { "none".to_owned() } else { text }
 }
 
-/// The names that are most like one that is not there, the nearest first; at most three.
+/// Up to three names that are similar to a missing one, the most similar first.
 pub fn nearest(wanted: &str, names: &[String]) -> Vec<String> {
     let wanted = plain(wanted);
     let mut near: Vec<(usize, &String)> =
         names.iter().map(|name| (distance(&wanted, &plain(name)), name)).collect();
-    // Half of the letters right is like it, or that one begins with the other.
+    // Similar: at least half of the letters are the same, or one name begins with the other.
     near.retain(|(distance, name)| {
         *distance <= wanted.len() / 2 || plain(name).starts_with(&wanted) || wanted.starts_with(&plain(name))
     });
@@ -114,7 +116,7 @@ pub fn nearest(wanted: &str, names: &[String]) -> Vec<String> {
     near.into_iter().take(3).map(|(_, name)| name.clone()).collect()
 }
 
-/// How many letters must be changed, added or left out.
+/// The number of letters that must be changed, added or left out (Levenshtein).
 fn distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();

@@ -1,25 +1,27 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where a camera's clock is read, and in which unit: found out by reading it twice beside the host's clock.
+//! How a camera's clock is read, and in which unit: both are found by reading it twice beside the host's clock.
 //!
-//! What features are called does not say in which unit they count, and a tick frequency may be 0, wrong or absent. So a
-//! way to read the clock counts only when it keeps time with the host; none is guessed.
+//! A feature's name does not give its unit, and a tick frequency may be 0, wrong or absent. So a way to read the
+//! clock is used only when it keeps time with the host's clock; none is guessed.
 
-use super::features::{Failed, Features, answered};
-use super::{CameraClockSample, CameraError};
+use super::backend::CameraClockSample;
+use super::error::CameraError;
+use super::features::{Failed, Features, answered, halves, or_reason, tick_frequencies, wide};
 use crate::base::time::monotonic_ns;
 use std::time::{Duration, Instant};
 
 const NANOSECONDS: u64 = 1_000_000_000;
-/// Between the two readings that are compared.
+/// Time between the two readings that are compared: long enough to tell units apart, short enough for a start.
 const APART: Duration = Duration::from_millis(10);
-/// Clocks may differ by this share: far more than any does, far less than a wrong unit.
+/// Share by which the camera's clock may differ from the host's: far more than any clock does, far less than a wrong
+/// unit.
 const TOLERANCE: f64 = 0.02;
 
-/// Bootstrap registers of GigE Vision: tick frequency and latched value (high word first), and the control register
-/// whose bit 1 latches.
-const FREQUENCY: [u64; 2] = [0x093c, 0x0940];
+/// Control register of the clock (GigE Vision bootstrap).
 const CONTROL: u64 = 0x0944;
+/// Bit of [`CONTROL`] that latches the clock into [`VALUE`].
 const LATCH: u32 = 2;
+/// Registers of the latched clock, the high word first.
 const VALUE: [u64; 2] = [0x0948, 0x094c];
 
 /// One way to read a clock.
@@ -31,11 +33,11 @@ pub struct DeviceClock {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Reading {
-    /// A command and the number that it latches.
+    /// A command, and the number that it latches.
     Features { latch: &'static str, value: &'static str },
-    /// A command and the two halves that it latches.
-    Halves { latch: &'static str, high: &'static str, low: &'static str },
-    /// The bootstrap registers.
+    /// A command, and the two halves of the number that it latches.
+    Halves { latch: &'static str, value: [&'static str; 2] },
+    /// The bootstrap registers of GigE Vision.
     Registers,
 }
 
@@ -47,16 +49,14 @@ impl Reading {
         Self::Features { latch: "TimestampLatch", value: "Timestamp" },
         Self::Halves {
             latch: "GevTimestampControlLatch",
-            high: "GevTimestampValueHigh",
-            low: "GevTimestampValueLow",
+            value: ["GevTimestampValueHigh", "GevTimestampValueLow"],
         },
         Self::Registers,
     ];
 
     fn name(self) -> &'static str {
         match self {
-            Self::Features { value, .. } => value,
-            Self::Halves { high, .. } => high,
+            Self::Features { value, .. } | Self::Halves { value: [value, _], .. } => value,
             Self::Registers => "the bootstrap registers' timestamp",
         }
     }
@@ -64,38 +64,21 @@ impl Reading {
     fn is_there(self, camera: &dyn Features) -> bool {
         match self {
             Self::Features { latch, value } => camera.has(latch) && camera.has(value),
-            Self::Halves { latch, high, low } => [latch, high, low].iter().all(|name| camera.has(name)),
+            Self::Halves { latch, value: [high, low] } => {
+                [latch, high, low].iter().all(|name| camera.has(name))
+            }
             Self::Registers => camera.has_registers(),
         }
     }
 
-    /// SFNC 2 counts nanoseconds, GigE Vision 1 ticks.
+    /// Ticks a second that the clock may have: nanoseconds in SFNC 2, else the frequencies that the camera states.
     fn units(self, camera: &dyn Features) -> Result<Vec<u64>, CameraError> {
-        const FEATURE: &str = "GevTimestampTickFrequency";
-        let mut units = Vec::new();
+        let mut units = tick_frequencies(camera)?;
         if matches!(self, Self::Features { latch: "TimestampLatch", .. }) {
-            units.push(NANOSECONDS);
+            units.insert(0, NANOSECONDS);
         }
-        if !matches!(self, Self::Registers) && camera.has(FEATURE) {
-            let frequency = answered(camera.integer(FEATURE))?;
-            units.extend(frequency.and_then(|frequency| u64::try_from(frequency).ok()));
-        }
-        if let Self::Halves { .. } = self {
-            const HALVES: [&str; 2] = ["GevTimestampTickFrequencyHigh", "GevTimestampTickFrequencyLow"];
-            if HALVES.iter().all(|name| camera.has(name)) {
-                units.extend(answered(halves(camera, HALVES))?);
-            }
-        }
-        if camera.has_registers() {
-            units.extend(answered(wide(camera, FREQUENCY))?);
-        }
-        let mut known = Vec::new();
-        units.into_iter().filter(|unit| *unit > 0).for_each(|unit| {
-            if !known.contains(&unit) {
-                known.push(unit);
-            }
-        });
-        Ok(known)
+        units.dedup();
+        Ok(units)
     }
 
     /// Ticks between two readings of the host's clock.
@@ -109,72 +92,54 @@ impl Reading {
         let ticks = match self {
             // The sign is the transport's, not the clock's.
             Self::Features { value, .. } => camera.integer(value)?.cast_unsigned(),
-            Self::Halves { high, low, .. } => halves(camera, [high, low])?,
+            Self::Halves { value, .. } => halves(camera, value)?,
             Self::Registers => wide(camera, VALUE)?,
         };
         Ok((before, ticks, after))
     }
 }
 
-/// A number in two features of 32 bits.
-fn halves(camera: &dyn Features, [high, low]: [&str; 2]) -> Result<u64, Failed> {
-    let half = |name| camera.integer(name).map(|half| half.cast_unsigned() & 0xffff_ffff);
-    Ok(half(high)? << 32 | half(low)?)
-}
-
-/// A pair of registers.
-fn wide(camera: &dyn Features, [high, low]: [u64; 2]) -> Result<u64, Failed> {
-    Ok(u64::from(camera.register(high)?) << 32 | u64::from(camera.register(low)?))
-}
-
-/// The first way to read a camera's clock that keeps time with the host's, or why there is none.
+/// The first way to read a camera's clock that keeps time with the host's clock.
 ///
 /// # Errors
-/// The camera does not answer.
-pub fn find(camera: &dyn Features) -> Result<Result<DeviceClock, String>, CameraError> {
+/// [`Failed::Refused`] with the reason for each way; [`Failed::Lost`] when the camera does not answer.
+pub fn find(camera: &dyn Features) -> Result<DeviceClock, Failed> {
     let mut reasons = Vec::new();
     for reading in Reading::ALL.into_iter().filter(|reading| reading.is_there(camera)) {
-        match find_unit(reading, camera)? {
-            Ok(clock) => return Ok(Ok(clock)),
+        match or_reason(find_unit(reading, camera))? {
+            Ok(clock) => return Ok(clock),
             Err(reason) => reasons.push(format!("{} {reason}", reading.name())),
         }
     }
     if reasons.is_empty() {
         reasons.push("none of its features is a clock".to_owned());
     }
-    Ok(Err(reasons.join("; ")))
+    Err(Failed::Refused(reasons.join("; ")))
 }
 
-fn find_unit(reading: Reading, camera: &dyn Features) -> Result<Result<DeviceClock, String>, CameraError> {
-    let read = || match reading.ticks(camera) {
-        Ok(ticks) => Ok(Ok(ticks)),
-        Err(Failed::Refused(why) | Failed::Nonsense(why)) => Ok(Err(format!("cannot be read ({why})"))),
-        Err(Failed::Lost(error)) => Err(error),
+fn find_unit(reading: Reading, camera: &dyn Features) -> Result<DeviceClock, Failed> {
+    let read = || {
+        or_reason(reading.ticks(camera))?.map_err(|why| Failed::Refused(format!("cannot be read ({why})")))
     };
-    let first = match read()? {
-        Ok(first) => first,
-        Err(reason) => return Ok(Err(reason)),
-    };
+    let first = read()?;
     std::thread::sleep(APART);
-    let second = match read()? {
-        Ok(second) => second,
-        Err(reason) => return Ok(Err(reason)),
-    };
+    let second = read()?;
     if second.1 == first.1 {
-        return Ok(Err("stands still".to_owned()));
+        return Err(Failed::Refused("stands still".to_owned()));
     }
     let units = reading.units(camera)?;
-    let fits = |ticks_per_s: &u64| keeps_time(first, second, *ticks_per_s);
-    Ok(match units.iter().copied().find(fits) {
-        Some(ticks_per_s) => Ok(DeviceClock { reading, ticks_per_s }),
-        None if units.is_empty() => Err("moves, and its tick frequency is 0 or cannot be read".to_owned()),
-        None => Err(format!(
+    match units.iter().find(|ticks_per_s| keeps_time(first, second, **ticks_per_s)) {
+        Some(ticks_per_s) => Ok(DeviceClock { reading, ticks_per_s: *ticks_per_s }),
+        None if units.is_empty() => {
+            Err(Failed::Refused("moves, and its tick frequency is 0 or cannot be read".to_owned()))
+        }
+        None => Err(Failed::Refused(format!(
             "does not keep time with this host by any frequency that the camera states ({units:?} Hz)"
-        )),
-    })
+        ))),
+    }
 }
 
-/// Whether two readings, each between two of the host's clock (ns), are as far apart as the host says.
+/// Whether two readings, each between two readings of the host's clock (ns), are as far apart as on the host's clock.
 fn keeps_time(first: (u64, u64, u64), second: (u64, u64, u64), ticks_per_s: u64) -> bool {
     let elapsed_ns = second.1.wrapping_sub(first.1) as f64 * 1e9 / ticks_per_s as f64;
     let least = second.0.saturating_sub(first.2) as f64 * (1.0 - TOLERANCE);
@@ -183,7 +148,7 @@ fn keeps_time(first: (u64, u64, u64), second: (u64, u64, u64), ticks_per_s: u64)
 }
 
 impl DeviceClock {
-    /// Reads it.
+    /// Reads the clock once, between two readings of the host's clock.
     pub fn sample(&self, camera: &dyn Features) -> Result<CameraClockSample, Failed> {
         let (host_before_ns, ticks, host_after_ns) = self.reading.ticks(camera)?;
         let ns = u128::from(ticks) * u128::from(NANOSECONDS) / u128::from(self.ticks_per_s);
@@ -195,14 +160,14 @@ impl DeviceClock {
     }
 }
 
-/// What a camera says of PTP; `None` where it says nothing.
+/// The camera's PTP status; `None` where it has no such feature.
 ///
 /// # Errors
 /// The camera does not answer, or answers nonsense.
 pub fn ptp_status(camera: &dyn Features) -> Result<Option<String>, CameraError> {
     for latch in ["PtpDataSetLatch", "GevIEEE1588DataSetLatch"] {
         if camera.has(latch) {
-            // One that refuses tells its state as it is.
+            // A camera that refuses to latch still reports its current state.
             answered(camera.execute(latch))?;
         }
     }
@@ -214,7 +179,7 @@ pub fn ptp_status(camera: &dyn Features) -> Result<Option<String>, CameraError> 
             Ok(text) => return Ok(Some(text)),
             Err(Failed::Refused(_)) => {}
             Err(Failed::Lost(error)) => return Err(error),
-            // By this its clock is believed: one that says no word of its own language is believed nothing.
+            // The clock is trusted because of this status, so a status that is no entry is an error.
             Err(Failed::Nonsense(what)) => {
                 let detail = format!("{status} is {what}");
                 return Err(CameraError::Nonsense { doing: "reading its PTP state", detail });

@@ -1,88 +1,145 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! An opened camera's features and registers, for what is decided about them whatever the library.
+//! Features and registers of an opened camera, independent of the library that reaches it.
 
-use super::CameraError;
 use super::description::{Access, Bounds, Description, Kind};
-use super::state::State;
+use super::error::CameraError;
+use super::settings::State;
 use crate::config::FeatureValue;
 
 /// Why a feature could not be read or set.
 #[derive(Debug)]
 pub enum Failed {
-    /// The camera does not answer, or does not obey us any more.
+    /// The camera does not answer, or another program controls it.
     Lost(CameraError),
-    /// The camera has no such thing, or refuses.
+    /// The camera has no such feature, or refuses; the reason in words.
     Refused(String),
-    /// It answers what its own description has no word for.
+    /// The camera's answer contradicts its own description.
     Nonsense(String),
 }
 
-/// Features and registers of an opened camera.
+impl From<CameraError> for Failed {
+    fn from(error: CameraError) -> Self {
+        Self::Lost(error)
+    }
+}
+
+/// Features and registers of an opened camera. The set-up is written against this trait, and its tests run it on a
+/// camera in memory.
 pub trait Features: Description {
-    /// Whether its description names this feature, and this model has it.
+    /// Whether the description names this feature and this model implements it.
     fn has(&self, feature: &str) -> bool;
 
-    /// Whether it is there as the camera is set now.
+    /// Whether the feature is available as the camera is set now.
     fn is_available(&self, feature: &str) -> bool;
 
-    /// Its value, by its own kind. Of an enumeration that stands at no entry it is a text that says so: whoever wants another
-    /// value sets it.
+    /// Reads a value of the feature's own kind. An enumeration whose register matches no entry gives a text that states
+    /// the register's value, so that a caller who wants another value sets it.
     fn read(&self, feature: &str) -> Result<FeatureValue, Failed>;
 
-    /// Sets it; whole numbers, numbers and truth values are taken for each other where the feature's kind asks for it. A
-    /// command is executed, whatever the value; one that is locked is refused.
+    /// Sets a feature. Integers, floats and booleans are converted to the feature's kind. A command is executed,
+    /// whatever the value; a locked feature is refused.
     fn write(&self, feature: &str, value: &FeatureValue) -> Result<(), Failed>;
 
     /// The limits of a number as the camera is set now.
     fn bounds_now(&self, feature: &str) -> Bounds;
 
-    /// A number.
+    /// Reads the value of an integer feature.
     fn integer(&self, feature: &str) -> Result<i64, Failed>;
 
-    /// An enumeration's entry or a text; [`Failed::Nonsense`] where an enumeration stands at no entry.
+    /// Reads an enumeration's entry or a text; [`Failed::Nonsense`] where the register matches no entry.
     fn text(&self, feature: &str) -> Result<String, Failed>;
 
-    /// Sets an enumeration.
-    fn set_text(&self, feature: &str, value: &str) -> Result<(), Failed>;
+    /// Selects an entry of an enumeration by its name.
+    fn set_text(&self, feature: &str, value: &str) -> Result<(), Failed> {
+        self.write(feature, &FeatureValue::Text(value.to_owned()))
+    }
 
-    /// Executes a command that is never locked.
+    /// Executes a command that is never locked, so that a denied access means a lost camera.
     fn execute(&self, feature: &str) -> Result<(), Failed>;
 
-    /// Whether a command that was executed is done: its register says something else than what started it. `None` where
-    /// that cannot be read.
+    /// Whether an executed command is done: its register differs from the value that started it. `None` where the
+    /// register cannot be read.
     fn is_done(&self, command: &str) -> Option<bool>;
 
-    /// The entries of an enumeration that the camera has now; none where it is not there.
+    /// The entries of an enumeration that can be selected now; empty where the feature is missing.
     fn entries(&self, feature: &str) -> Vec<String>;
 
-    /// Whether it has the bootstrap registers of GigE Vision.
+    /// Whether the camera has the bootstrap registers of GigE Vision.
     fn has_registers(&self) -> bool;
 
-    /// Reads a bootstrap register.
+    /// Reads a bootstrap register of GigE Vision.
     fn register(&self, address: u64) -> Result<u32, Failed>;
 
-    /// Writes a bootstrap register.
+    /// Writes a bootstrap register of GigE Vision.
     fn set_register(&self, address: u64, value: u32) -> Result<(), Failed>;
 }
 
-/// What was refused, or has no sense, is not there; a camera that is lost is an error.
-pub fn answered<T>(read: Result<T, Failed>) -> Result<Option<T>, CameraError> {
-    match read {
-        Ok(value) => Ok(Some(value)),
-        Err(Failed::Refused(_) | Failed::Nonsense(_)) => Ok(None),
+/// Separates a lost camera (the outer error) from a feature that is refused (the inner error: why).
+pub fn or_reason<T>(result: Result<T, Failed>) -> Result<Result<T, String>, CameraError> {
+    match result {
+        Ok(value) => Ok(Ok(value)),
+        Err(Failed::Refused(why) | Failed::Nonsense(why)) => Ok(Err(why)),
         Err(Failed::Lost(error)) => Err(error),
     }
 }
 
-/// No camera has more that matters; what is beyond is left out.
-const FEATURES_MAX: usize = 2000;
-/// So is what is beyond so many bytes of names and values.
-const BYTES_MAX: usize = 64 << 10;
+/// The value, or `None` where the camera refuses; a lost camera is an error.
+pub fn answered<T>(read: Result<T, Failed>) -> Result<Option<T>, CameraError> {
+    Ok(or_reason(read)?.ok())
+}
 
-/// Longer texts are cut.
+/// The value of a feature, or `None` where the camera lacks the feature or refuses to read it.
+pub fn value_of(camera: &dyn Features, feature: &str) -> Result<Option<FeatureValue>, CameraError> {
+    if camera.is_available(feature) { answered(camera.read(feature)) } else { Ok(None) }
+}
+
+/// A number of the kind that a feature has.
+pub fn number_of(camera: &dyn Features, feature: &str, number: f64) -> FeatureValue {
+    match camera.feature(feature).map(|known| known.kind) {
+        Some(Kind::Integer) => FeatureValue::Integer(number.round() as i64),
+        _ => FeatureValue::Float(number),
+    }
+}
+
+/// Tick frequencies of the camera's clock that the camera states, Hz, without zeros: by its features, then by the
+/// bootstrap registers of GigE Vision.
+pub fn tick_frequencies(camera: &dyn Features) -> Result<Vec<u64>, CameraError> {
+    const WHOLE: &str = "GevTimestampTickFrequency";
+    const HALVES: [&str; 2] = ["GevTimestampTickFrequencyHigh", "GevTimestampTickFrequencyLow"];
+    const REGISTERS: [u64; 2] = [0x093c, 0x0940];
+    let mut stated = Vec::new();
+    if camera.has(WHOLE) {
+        stated.extend(answered(camera.integer(WHOLE))?.and_then(|hz| u64::try_from(hz).ok()));
+    }
+    if HALVES.iter().all(|name| camera.has(name)) {
+        stated.extend(answered(halves(camera, HALVES))?);
+    }
+    if camera.has_registers() {
+        stated.extend(answered(wide(camera, REGISTERS))?);
+    }
+    stated.retain(|hz| *hz > 0);
+    Ok(stated)
+}
+
+/// A number of 64 bits in two features of 32 bits, the high word first.
+pub fn halves(camera: &dyn Features, [high, low]: [&str; 2]) -> Result<u64, Failed> {
+    let half = |name| camera.integer(name).map(|half| half.cast_unsigned() & 0xffff_ffff);
+    Ok(half(high)? << 32 | half(low)?)
+}
+
+/// A number of 64 bits in two registers, the high word first.
+pub fn wide(camera: &dyn Features, [high, low]: [u64; 2]) -> Result<u64, Failed> {
+    Ok(u64::from(camera.register(high)?) << 32 | u64::from(camera.register(low)?))
+}
+
+/// Most features of a camera's recorded state; no known camera has as many that can be read.
+const FEATURES_MAX: usize = 2000;
+/// Most bytes of names and values in a camera's recorded state, because it is in the header of each segment.
+const BYTES_MAX: usize = 64 << 10;
+/// Most characters of a recorded value; longer values are cut.
 const TEXT_MAX: usize = 200;
 
-/// A value as it is written down.
+/// A value as text on one line, cut at 200 characters.
 pub fn value_text(value: &FeatureValue) -> String {
     let text: String = value.to_string().chars().filter(|c| !c.is_control()).collect();
     match text.char_indices().nth(TEXT_MAX) {
@@ -91,7 +148,7 @@ pub fn value_text(value: &FeatureValue) -> String {
     }
 }
 
-/// What can be read now, behind the selectors as they stand.
+/// All features that can be read now, behind the selectors as they are set, within the bounds above.
 pub fn read_state(camera: &dyn Features) -> Result<State, CameraError> {
     let mut state = State::new();
     let mut bytes = 0;
@@ -99,10 +156,8 @@ pub fn read_state(camera: &dyn Features) -> Result<State, CameraError> {
         let readable = camera.feature(&name).is_some_and(|feature| {
             feature.access != Access::Write && !matches!(feature.kind, Kind::Command | Kind::Other)
         });
-        if !readable || !camera.is_available(&name) {
-            continue;
-        }
-        let Some(value) = answered(camera.read(&name))? else { continue };
+        let value = if readable { value_of(camera, &name)? } else { None };
+        let Some(value) = value else { continue };
         let text = value_text(&value);
         bytes += name.len() + text.len();
         if bytes > BYTES_MAX {

@@ -1,69 +1,67 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The size of a GigE camera's packets: the one that is asked for, the next smaller one that it takes, or a refusal by name.
+//! The size of a GigE camera's packets: the requested one, the next smaller one that the camera takes, or a refusal.
 
-use super::CameraError;
 use super::description::Bounds;
-use super::features::{Failed, Features, answered};
+use super::features::{Failed, Features, answered, or_reason};
 use crate::config::FeatureValue;
 
-/// The feature that says it.
+/// The feature that holds the packet size, bytes with IP and UDP headers.
 pub const FEATURE: &str = "GevSCPSPacketSize";
 
-/// The largest size within these limits that is no larger than the one asked for: a larger one fits into no frame of the
-/// network. Where there is none, the size asked for, which the camera then refuses.
-pub fn fitting(asked: u32, bounds: Bounds) -> u32 {
-    let wanted = f64::from(asked);
+/// The largest size within the bounds that is not larger than the requested one, because the network may not carry
+/// larger packets. Where there is none: the requested size, which the camera then refuses.
+pub fn fitting(requested: u32, bounds: Bounds) -> u32 {
+    let wanted = f64::from(requested);
     let most = bounds.max.map_or(wanted, |max| wanted.min(max));
     let Some(min) = bounds.min else { return most as u32 };
     let step = bounds.step.filter(|step| *step >= 1.0).unwrap_or(1.0);
     if most < min {
-        return asked;
+        return requested;
     }
     (min + ((most - min) / step).floor() * step) as u32
 }
 
-/// Why a camera takes no packets of a size, and what would do.
-pub fn refusal(asked: u32, why: &str, bounds: Bounds, now: Option<i64>) -> String {
-    let edge = |bound: Option<f64>| bound.map_or_else(|| "any".to_owned(), |bound| bound.to_string());
+/// The message for a size that the camera refuses, with the sizes that it takes.
+pub fn refusal(requested: u32, why: &str, bounds: Bounds, now: Option<i64>) -> String {
     let has = now.map_or_else(String::new, |now| format!(", it has {now}"));
-    let say = match (now, bounds.min) {
-        (_, Some(min)) if min > f64::from(asked) => format!("{min}"),
+    let remedy = match (now, bounds.min) {
+        (_, Some(min)) if min > f64::from(requested) => format!("{min}"),
         (Some(now), _) => format!("{now}"),
         (None, _) => "one that it takes".to_owned(),
     };
     format!(
-        "{FEATURE} cannot be set to {asked}: the camera refuses it ({why}); it takes {} to {}{has}: say packet_bytes = {say}",
-        edge(bounds.min),
-        edge(bounds.max)
+        "{FEATURE} cannot be set to {requested}: the camera refuses it ({why}); it takes {bounds}{has}: set \
+         packet_bytes = {remedy}"
     )
 }
 
-/// Sets it; what an operator should know of it, or the problem.
-pub fn set(camera: &dyn Features, asked: u32) -> Result<Result<Option<String>, String>, CameraError> {
+/// Sets the packet size. Gives a remark for the operator where the camera takes a smaller one.
+///
+/// # Errors
+/// [`Failed::Refused`] with the problem and its remedy.
+pub fn set(camera: &dyn Features, requested: u32) -> Result<Option<String>, Failed> {
     let writable =
         camera.feature(FEATURE).is_some_and(|feature| feature.is_writable() && feature.is_number());
-    if asked == 0 || !writable || !camera.is_available(FEATURE) {
-        return Ok(Ok(None));
+    if requested == 0 || !writable || !camera.is_available(FEATURE) {
+        return Ok(None);
     }
-    if answered(camera.integer(FEATURE))? == Some(asked.into()) {
-        return Ok(Ok(None));
+    if answered(camera.integer(FEATURE))? == Some(requested.into()) {
+        return Ok(None);
     }
     let bounds = camera.bounds_now(FEATURE);
-    let wrote = camera.write(FEATURE, &FeatureValue::Integer(fitting(asked, bounds).into()));
+    let size = FeatureValue::Integer(fitting(requested, bounds).into());
+    let written = or_reason(camera.write(FEATURE, &size))?;
     let now = answered(camera.integer(FEATURE))?;
-    match (wrote, now) {
-        (Err(Failed::Lost(error)), _) => Err(error),
-        (Err(Failed::Refused(why) | Failed::Nonsense(why)), now) => {
-            Ok(Err(refusal(asked, &why, bounds, now)))
+    let refused = |why: &str| Err(Failed::Refused(refusal(requested, why, bounds, now)));
+    match (written, now) {
+        (Err(why), _) => refused(&why),
+        (Ok(()), Some(now)) if now > i64::from(requested) => {
+            refused(&format!("it makes {now} of it, which the network may not carry"))
         }
-        (Ok(()), Some(now)) if now > i64::from(asked) => {
-            let why = format!("it makes {now} of it, which the network may not carry");
-            Ok(Err(refusal(asked, &why, bounds, Some(now))))
+        (Ok(()), Some(now)) if now < i64::from(requested) => {
+            Ok(Some(format!("packet_bytes = {requested}: the camera takes {now} bytes ({FEATURE})")))
         }
-        (Ok(()), Some(now)) if now < i64::from(asked) => {
-            Ok(Ok(Some(format!("packet_bytes = {asked}: the camera takes {now} bytes ({FEATURE})"))))
-        }
-        (Ok(()), _) => Ok(Ok(None)),
+        (Ok(()), _) => Ok(None),
     }
 }
 
@@ -89,7 +87,7 @@ mod tests {
             text.contains("cannot be set to 576") && text.contains("it takes 1400 to 1500, it has 1500"),
             "{text}"
         );
-        assert!(text.ends_with("say packet_bytes = 1400"), "{text}");
+        assert!(text.ends_with("set packet_bytes = 1400"), "{text}");
         assert!(!text.contains("power"), "{text}");
     }
 }

@@ -1,67 +1,66 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which packets arrive: the search for the largest, whatever sends them.
+//! The search for the largest packet that arrives, independent of what sends them.
 //!
-//! Aravis' own search gives a packet 10 ms, and receives into memory of the description's largest packet what is as large as
-//! the camera's register says: a camera that takes more than it says ends the process (0.8.26). So the search is here, and
-//! what is received goes into memory that holds any datagram.
+//! Aravis' own search gives a packet 10 ms, and receives packets as large as the camera's register allows into memory
+//! of the description's largest packet: a camera that sends more than it describes ends the process (0.8.26). So the
+//! search is here, and receives into memory that holds any datagram.
 
-use super::{CameraError, PacketTest};
+use super::backend::PacketTest;
+use super::error::CameraError;
 use std::time::Duration;
 
-/// The first packets may take so long: some cameras send them from a slow loop.
+/// Longest wait for the first packets: some cameras send them from a slow loop.
 pub const PATIENCE: Duration = Duration::from_millis(400);
-/// Once one has come, the others get three times as long as it, and this at least.
+/// Least wait for further packets, which get three times as long as the first one took.
 const PATIENCE_LEAST: Duration = Duration::from_millis(60);
-/// What every network carries, and what every camera can send: where to begin when the largest does not arrive.
+/// Sizes to begin with when the largest does not arrive: what every network carries, and what every camera can send.
 const FLOORS: [u32; 2] = [1500, 576];
-/// No smaller one is asked for.
+/// Smallest packet that is requested, bytes.
 const LEAST: u32 = 64;
-/// Halving 64 KiB takes 16; those that come late cost some more.
+/// Most attempts: halving 64 KiB takes 16, and late packets cost some more.
 const STEPS: usize = 24;
-/// A UDP packet has no more, its IP header counted in.
+/// Largest IP packet, bytes with headers.
 pub const LARGEST: u32 = 65_535;
-/// Packets may be so much shorter than asked: some round down (aravis#687).
+/// Bytes by which a packet may be shorter than requested, because some cameras round down (aravis#687).
 pub const ROUNDED: u32 = 16;
 
-/// The sizes that a camera takes, by its own description.
+/// The packet sizes that a camera takes by its own description, bytes.
 #[derive(Debug, Clone, Copy)]
 pub struct Sizes {
-    /// The least.
     pub min: u32,
-    /// The largest.
     pub max: u32,
-    /// From one to the next.
+    /// The step from one size to the next.
     pub step: u32,
 }
 
-/// One size that was tried.
+/// The result of one attempt.
 #[derive(Debug, Clone, Copy)]
 pub struct Tried {
-    /// What the camera made of it; `None` where it refuses.
+    /// The size that the camera made of the requested one; `None` where it refuses.
     pub size: Option<u32>,
-    /// The largest packet that came meanwhile, of this size or late of another.
+    /// The largest packet that arrived during the attempt, of this size or late of another.
     pub arrived: Option<u32>,
-    /// When that came.
+    /// Time from the request to that packet.
     pub took: Duration,
 }
 
-/// Looks for the largest packet that arrives, `asked` at most; `None` where none does. `attempt` has the camera send packets of
-/// one size, and waits so long for each.
+/// Finds the largest packet that arrives, up to `requested`; `None` where none does. `attempt` makes the camera send
+/// packets of one size, and waits for each as long as given.
 ///
 /// # Errors
-/// The camera is lost.
+/// As `attempt`: the camera is lost.
 pub fn largest(
-    asked: u32,
+    requested: u32,
     sizes: Sizes,
     mut attempt: impl FnMut(u32, Duration) -> Result<Tried, CameraError>,
 ) -> Result<Option<PacketTest>, CameraError> {
     let step = sizes.step.clamp(1, 1024);
     let on_step = |size: u32| size - size.saturating_sub(sizes.min) % step;
-    let most = asked.min(LARGEST).min(sizes.max.max(sizes.min));
+    let most = requested.min(LARGEST).min(sizes.max.max(sizes.min));
     let first = attempt(on_step(most), PATIENCE)?;
-    // One that makes less of it than asked says that it sends no more.
+    // A camera that makes less of the requested size sends no larger packets.
     let made = first.size.unwrap_or(most).min(most);
-    let camera_takes = (made < asked).then_some(made);
+    let camera_takes = (made < requested).then_some(made);
     let done = |arrived| Ok(Some(PacketTest { arrived, camera_takes }));
     if let Some(arrived) = first.arrived.filter(|arrived| arrived + ROUNDED >= made) {
         return done(arrived.min(made));
@@ -89,11 +88,11 @@ pub fn largest(
             _ => (beyond, refused) = (middle, tried.size.is_none()),
         }
         if best >= beyond {
-            // A large one came late: what was taken for too large is not.
+            // A large packet came late: its size is not too large after all.
             beyond = made.max(best);
         }
     }
-    // What the camera refuses never was on its way.
+    // A size that the camera refuses is its own limit, not the network's.
     let camera_takes = if refused { Some(best) } else { camera_takes };
     Ok(Some(PacketTest { arrived: best.min(made), camera_takes }))
 }
@@ -107,9 +106,9 @@ mod tests {
     const SOON: Duration = Duration::from_millis(1);
 
     /// A way that carries packets up to a size.
-    fn carries(mtu: u32, asked: u32, sizes: Sizes) -> (Option<PacketTest>, Vec<u32>) {
+    fn carries(mtu: u32, requested: u32, sizes: Sizes) -> (Option<PacketTest>, Vec<u32>) {
         let mut tried = Vec::new();
-        let found = largest(asked, sizes, |size, _| {
+        let found = largest(requested, sizes, |size, _| {
             tried.push(size);
             Ok(Tried { size: Some(size), arrived: (size <= mtu).then_some(size), took: SOON })
         });
@@ -131,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_is_asked_for_no_more_than_it_takes() {
+    fn a_camera_is_sent_no_larger_request_than_it_takes() {
         let small = Sizes { min: 220, max: 1444, step: 4 };
         let (found, tried) = carries(65_535, 9000, small);
         assert_eq!(found, Some(PacketTest { arrived: 1444, camera_takes: Some(1444) }));
@@ -163,12 +162,12 @@ mod tests {
         };
         let found = largest(9000, ANY, refuses).expect("it answers").expect("some arrive");
         assert!((7996..=8000).contains(&found.arrived), "{found:?}");
-        assert_eq!(found.camera_takes, Some(found.arrived), "the way was never asked");
+        assert_eq!(found.camera_takes, Some(found.arrived), "the network was not tested");
     }
 
     #[test]
     fn packets_that_come_late_count_and_set_how_long_is_waited() {
-        // Each comes when the next is asked for already.
+        // Each arrives when the next is requested already.
         let mut on_its_way = None;
         let found = largest(9000, ANY, |size, _| {
             let arrived = on_its_way.replace(size);

@@ -1,67 +1,73 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Requested against applied GenICam settings.
+//! Requested and applied settings of a camera, its state as text, and how values are compared.
 
 use super::contract::FrameContract;
-use super::state::State;
-use crate::config::{FeatureSetting, FeatureValue};
+use crate::config::FeatureValue;
 use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
 
-/// A feature as configured and as read back.
+/// A feature's requested value and the value that was read back.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct AppliedSetting {
-    /// SFNC name.
+    /// Name of the feature (SFNC).
     pub feature: String,
-    /// As configured.
+    /// The value that the node file or the rig requests.
     pub requested: FeatureValue,
-    /// As read back.
+    /// The value that the camera reported after it was set.
     pub actual: FeatureValue,
 }
 
-/// How a camera is set.
+/// The outcome of a set-up.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SetUp {
-    /// What its frames must be.
+    /// What each frame of the camera must be.
     pub contract: FrameContract,
-    /// What was set, in its order.
+    /// All settings, in the order in which they were made.
     pub settings: Vec<AppliedSetting>,
-    /// What an operator should know: what was found otherwise and mended, what the camera rounded.
-    pub told: Vec<String>,
-    /// What must stay as it is while the session runs.
+    /// What the operator should know: values that were found different and corrected, or that the camera rounded.
+    pub remarks: Vec<String>,
+    /// Features that must stay unchanged while the session runs.
     pub watched: State,
 }
 
-/// Cameras quantize floats (exposure in line times, gain in tenths of a decibel): this share of the
-/// requested value, or this absolute amount where that is more, passes as equal.
+/// A feature that changed: its name, its value before, its value now.
+pub type Change = (String, String, String);
+
+/// Names of features and their values as text.
+pub type State = BTreeMap<String, String>;
+
+/// The differences: name, value in `a`, value in `b`; `None` where a reading lacks the feature.
+pub fn differences(a: &State, b: &State) -> Vec<(String, Option<String>, Option<String>)> {
+    let names: BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+    let pair = |name: &String| (name.clone(), a.get(name).cloned(), b.get(name).cloned());
+    names.into_iter().map(pair).filter(|(_, a, b)| a != b).collect()
+}
+
+/// Tolerance of floats, as a share of the wanted value and at least this amount: cameras quantize exposures to line
+/// times and gains to tenths of a decibel.
 const FLOAT_TOLERANCE: f64 = 2e-3;
 
-/// Whether a camera took a setting.
-pub fn matches(setting: &FeatureSetting, actual: &FeatureValue) -> bool {
-    use FeatureValue::{Flag, Float, Integer, Text};
-    let close = |a: f64, b: f64| (a - b).abs() <= FLOAT_TOLERANCE * a.abs().max(1.0);
-    match (&setting.value, actual) {
-        (Flag(a), Flag(b)) => a == b,
-        (Integer(a), Integer(b)) => a == b,
-        (Text(a), Text(b)) => a == b,
-        (Float(a), Float(b)) => close(*a, *b),
-        (Integer(a), Float(b)) => close(*a as f64, *b),
-        _ => false,
+/// Whether a camera has another value than the wanted one. Numbers of different kinds are compared by their values.
+pub fn differs(wanted: &FeatureValue, actual: &FeatureValue) -> bool {
+    use FeatureValue::{Flag, Float, Integer};
+    match (wanted, actual) {
+        (Flag(a), Integer(b)) => i64::from(*a) != *b,
+        (Float(a), Integer(b)) | (Integer(b), Float(a)) => (a - *b as f64).abs() > 0.5,
+        (Float(a), Float(b)) => (a - b).abs() > FLOAT_TOLERANCE * a.abs().max(1.0),
+        (a, b) => a != b,
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::matches;
-    use crate::config::{FeatureSetting, FeatureValue};
+    use super::differs;
+    use crate::config::FeatureValue::{Flag, Float, Integer, Text};
 
     #[test]
     fn quantized_floats_pass_and_wrong_values_do_not() {
-        let exposure =
-            FeatureSetting { feature: "ExposureTime".to_owned(), value: FeatureValue::Float(1000.0) };
-        assert!(matches(&exposure, &FeatureValue::Float(1000.9)));
-        assert!(!matches(&exposure, &FeatureValue::Float(1010.0)));
-        let mode =
-            FeatureSetting { feature: "TriggerMode".to_owned(), value: FeatureValue::Text("On".to_owned()) };
-        assert!(!matches(&mode, &FeatureValue::Text("Off".to_owned())));
+        assert!(!differs(&Float(1000.0), &Float(1000.9)) && differs(&Float(1000.0), &Float(1010.0)));
+        assert!(!differs(&Integer(4), &Float(4.0)) && !differs(&Flag(true), &Integer(1)));
+        assert!(differs(&Text("On".to_owned()), &Text("Off".to_owned())));
     }
 }

@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Grey values deeper than 8 bits, shifted to 8 in the memory that they were received into.
+//! Conversion of grey values deeper than 8 bits to 8 bits, in the memory that they were received into.
 //!
-//! No form of a pixel is shorter than a byte, so the front of the memory is written with what has been read already: no
-//! second pool is needed, and the writer finds the image where that of an 8-bit camera is.
+//! No pixel format has less than a byte per pixel, so the result overwrites only bytes that have been read already.
+//! No second pool is needed, and the writer finds the image where that of an 8-bit camera is.
 
 use crate::config::Pixel;
 
-/// Pixels of one step: what is read lies in the nearest cache while it is written, and a whole number of any group.
+/// Pixels of one step: they fit into the first-level cache, and are a whole number of groups in any format.
 const STEP: usize = 2048;
 
-/// Shifts `count` pixels at the beginning of `memory` to a byte each. Gives the bits above the format's depth that any
-/// value has set: there are none in what the format says it is.
+/// Shifts `count` pixels at the beginning of `memory` to a byte each. Gives the bits above the format's depth that
+/// are set in any value; they must be 0.
 pub fn unpack(pixel: Pixel, memory: &mut [u8], count: usize) -> u16 {
     let mut read = [0; 2 * STEP];
     let mut seen = 0;
@@ -23,12 +23,12 @@ pub fn unpack(pixel: Pixel, memory: &mut [u8], count: usize) -> u16 {
         read[..bytes].copy_from_slice(&memory[from..from + bytes]);
         seen |= narrow(pixel, &read[..bytes], &mut memory[at..at + pixels]);
     }
-    // Of 16 bits none lies above.
+    // A format of 16 bits has no bits above its depth.
     seen.checked_shr(pixel.depth() as u32).unwrap_or(0)
 }
 
-/// Takes one pixel of each two by two of an image of 8 bits: column and row of it as `place`, `size` those of what is left.
-/// It is in front of what it is taken from, or there.
+/// Keeps one pixel of each two by two of an 8-bit image: the one at column and row `place`. `size` is that of the
+/// result, which overwrites the beginning of the memory.
 pub fn take_plane(memory: &mut [u8], (width, height): (usize, usize), (column, row): (usize, usize)) {
     let mut read = [0; 2 * STEP];
     if memory.len() < 4 * width * height {
@@ -47,12 +47,12 @@ pub fn take_plane(memory: &mut [u8], (width, height): (usize, usize), (column, r
     }
 }
 
-/// The upper 8 bits of each value; gives all bits that are set in values of two bytes.
+/// Writes the upper 8 bits of each value; gives the bits that are set in any value of two bytes.
 fn narrow(pixel: Pixel, read: &[u8], image: &mut [u8]) -> u16 {
     match pixel {
-        // A byte each already.
+        // These have a byte per pixel already.
         Pixel::Mono8 | Pixel::Bayer8(_) => {}
-        // Four values, each beginning where the one before ends, the lowest bit first.
+        // Values without gaps, the lowest bit first: four in five bytes.
         Pixel::Mono10p => {
             for (to, from) in image.chunks_exact_mut(4).zip(read.chunks_exact(5)) {
                 to[0] = from[0] >> 2 | from[1] << 6;
@@ -67,7 +67,7 @@ fn narrow(pixel: Pixel, read: &[u8], image: &mut [u8]) -> u16 {
                 to[1] = from[2];
             }
         }
-        // The byte in the middle has the lower bits of both.
+        // The byte in the middle holds the lower bits of both values.
         Pixel::Mono10Packed | Pixel::Mono12Packed => {
             for (to, from) in image.chunks_exact_mut(2).zip(read.chunks_exact(3)) {
                 to[0] = from[0];
@@ -101,8 +101,8 @@ mod tests {
         for (i, value) in values.iter().enumerate() {
             for bit in (0..depth).filter(|bit| value >> bit & 1 == 1) {
                 let at = match pixel {
-                    // GigE Vision: the upper 8 bits in a byte of their own, the others in the one in the middle, of which
-                    // the first pixel has the lower half.
+                    // GigE Vision: the upper 8 bits in a byte of their own, the others in the one in the middle, of
+                    // which the first pixel has the lower half.
                     Pixel::Mono10Packed | Pixel::Mono12Packed => {
                         let (pair, second) = (i / 2 * 24, i % 2);
                         match bit.checked_sub(depth - 8) {
@@ -124,7 +124,7 @@ mod tests {
     fn each_format_has_the_bytes_of_its_standard() {
         let ten = [0x3f1, 0x0a2, 0x155, 0x200];
         let twelve = [0xf12, 0x0a3, 0x555, 0x800];
-        /// Values, their bytes, and what becomes of them.
+        /// Values, their bytes, and the resulting image.
         type Case<'a> = (Pixel, &'a [u16], &'a [u8], &'a [u8]);
         let cases: [Case<'_>; 9] = [
             (Pixel::Mono8, &[0xf1, 0x0a], &[0xf1, 0x0a], &[0xf1, 0x0a]),
@@ -189,7 +189,7 @@ mod tests {
         assert_eq!(memory, [1, 2, 3]);
     }
 
-    /// What it costs.
+    /// Prints the time that each format takes per frame.
     #[test]
     #[ignore = "prints figures and judges none: cargo test --release --lib unpack -- --ignored --nocapture"]
     fn cost_per_frame() {

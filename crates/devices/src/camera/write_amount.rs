@@ -1,129 +1,96 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One value is written as near to what is wanted as the camera can, and read back.
+//! Writes one value as near to the wanted one as the camera can take, and reads it back.
 
-use super::CameraError;
-use super::description::{Access, Bounds, Kind, list};
-use super::features::{Failed, Features, answered};
+use super::description::{Access, Bounds, list};
+use super::error::CameraError;
+use super::features::{Failed, Features, answered, number_of, tick_frequencies};
 use super::profile::{Amount, Scale, Write};
+use super::settings::differs;
 use crate::config::FeatureValue;
 
-/// What a write came to.
+/// A value that was written and read back.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Done {
-    /// What was asked for, as the feature counts.
+    /// The requested value, in the feature's unit.
     pub requested: FeatureValue,
-    /// What was read back.
+    /// The value that the camera has now.
     pub actual: FeatureValue,
-    /// What an operator should know of it.
-    pub told: Option<String>,
+    /// What the operator should know: that the camera rounded the value.
+    pub remark: Option<String>,
 }
 
-/// Whether a camera has another value than the one that it should have.
-pub fn differs(wanted: &FeatureValue, actual: &FeatureValue) -> bool {
-    use FeatureValue::{Flag, Float, Integer, Text};
-    match (wanted, actual) {
-        (Flag(a), Integer(b)) => i64::from(*a) != *b,
-        (Float(a), Integer(b)) | (Integer(b), Float(a)) => (a - *b as f64).abs() > 0.5,
-        // A number that was read back and is read again is the same.
-        (Float(a), Float(b)) => (a - b).abs() > 1e-3 * a.abs().max(1.0),
-        (Text(a), Text(b)) => a != b,
-        (a, b) => a != b,
-    }
-}
-
-/// The bootstrap registers of GigE Vision with the frequency of the camera's clock.
-const FREQUENCY: [u64; 2] = [0x093c, 0x0940];
-
-/// Writes; the inner error is a problem in words.
-pub fn write(camera: &dyn Features, write: &Write) -> Result<Result<Done, String>, CameraError> {
+/// Writes a value and reads it back.
+///
+/// # Errors
+/// [`Failed::Refused`] with the problem and its remedy; [`Failed::Lost`] when the camera does not answer.
+pub fn write(camera: &dyn Features, write: &Write) -> Result<Done, Failed> {
     let name = write.feature.as_str();
     let bounds = camera.bounds_now(name);
     match &write.amount {
         Amount::Value(value) => whole(camera, write, value, bounds),
         Amount::Least => {
-            let least = bounds.min.unwrap_or(0.0);
-            let value = number_of(camera, name, least);
+            let value = number_of(camera, name, bounds.min.unwrap_or(0.0));
             whole(camera, write, &value, Bounds::default())
         }
         Amount::Near { wanted, scale, tolerance, unit } => {
-            let per_unit = match per_unit(camera, scale, bounds)? {
-                Ok(per_unit) => per_unit,
-                Err(why) => return Ok(Err(format!("{name} cannot be set by {}: {why}", write.word))),
-            };
+            let per_unit = per_unit(camera, scale, bounds)?
+                .map_err(|why| Failed::Refused(format!("{name} cannot be set by {}: {why}", write.word)))?;
             near(camera, write, Number { wanted: *wanted, per_unit, tolerance: *tolerance, unit }, bounds)
         }
     }
 }
 
-/// A value that must be taken as it is.
-fn whole(
-    camera: &dyn Features,
-    write: &Write,
-    value: &FeatureValue,
-    bounds: Bounds,
-) -> Result<Result<Done, String>, CameraError> {
+/// Writes a value that the camera must take exactly.
+fn whole(camera: &dyn Features, write: &Write, value: &FeatureValue, bounds: Bounds) -> Result<Done, Failed> {
     let name = write.feature.as_str();
+    let problem = |text: String| Err(Failed::Refused(text + &change(write)));
     if let FeatureValue::Text(text) = value {
         let entries = camera.entries(name);
         if !entries.is_empty() && !entries.contains(text) {
-            return Ok(Err(format!(
-                "`{text}` is not among the entries of {name} that the camera has now: {}{}",
-                list(&entries),
-                change(write)
-            )));
+            return problem(format!(
+                "`{text}` is not among the entries of {name} that the camera has now: {}",
+                list(&entries)
+            ));
         }
     }
-    if let FeatureValue::Integer(number) = value {
-        let number = *number as f64;
-        let outside =
-            bounds.min.is_some_and(|min| number < min) || bounds.max.is_some_and(|max| number > max);
-        if outside {
-            return Ok(Err(format!(
-                "{name} takes {} now, asked for {number}{}",
-                range(bounds),
-                change(write)
-            )));
-        }
+    if let FeatureValue::Integer(number) = value
+        && bounds.exclude(*number as f64)
+    {
+        return problem(format!("{name} takes {bounds} now, requested {number}"));
     }
-    let fixed = camera.feature(name).is_some_and(|feature| !feature.is_writable());
-    if !fixed && let Err(failed) = camera.write(name, value) {
-        return refused(write, &value.to_string(), failed);
+    let known = camera.feature(name);
+    let fixed = known.as_ref().is_some_and(|feature| !feature.is_writable());
+    if !fixed {
+        camera.write(name, value).map_err(|failed| refused(write, value, failed))?;
     }
-    if camera.feature(name).is_some_and(|feature| feature.access == Access::Write) {
-        // A key is secret: that it was taken is all that can be known.
-        return Ok(Ok(Done { requested: value.clone(), actual: value.clone(), told: None }));
+    if known.is_some_and(|feature| feature.access == Access::Write) {
+        // A write-only value, as a key, cannot be read back.
+        return Ok(Done { requested: value.clone(), actual: value.clone(), remark: None });
     }
-    let actual = match camera.read(name) {
-        Ok(actual) => actual,
-        Err(failed) => return refused(write, &value.to_string(), failed),
-    };
-    if differs(value, &actual) && fixed {
-        return Ok(Err(format!(
-            "{name} is {actual}, expected {value}, and can only be read{}",
-            change(write)
-        )));
+    let actual = camera.read(name).map_err(|failed| refused(write, value, failed))?;
+    match (differs(value, &actual), fixed) {
+        (true, true) => problem(format!("{name} is {actual}, expected {value}, and can only be read")),
+        (true, false) => problem(format!("{name} is {actual}, although it was set to {value}")),
+        (false, _) => Ok(Done { requested: value.clone(), actual, remark: None }),
     }
-    if differs(value, &actual) {
-        return Ok(Err(format!("{name} is {actual}, although it was set to {value}{}", change(write))));
-    }
-    Ok(Ok(Done { requested: value.clone(), actual, told: None }))
 }
 
+/// A wanted number, and how it is converted to the feature's unit.
 struct Number {
     wanted: f64,
-    /// From the word's unit to the feature's and back.
     per_unit: PerUnit,
     tolerance: f64,
     unit: &'static str,
 }
 
-/// How a number of the word's unit is one of the feature's.
+/// How a number in the configuration key's unit is converted to the feature's unit, and back.
 #[derive(Clone, Copy)]
 enum PerUnit {
+    /// The feature has this many units for one of the key's.
     Times(f64),
-    /// A factor for decibels.
+    /// The feature is a factor, and the key counts decibels.
     Factor,
-    /// Steps of a size that is not known: the least stands for nothing.
+    /// The feature counts steps of unknown size, so only its least value has a meaning: 0.
     LeastAlone(f64),
 }
 
@@ -145,43 +112,34 @@ impl PerUnit {
     }
 }
 
-fn near(
-    camera: &dyn Features,
-    write: &Write,
-    number: Number,
-    bounds: Bounds,
-) -> Result<Result<Done, String>, CameraError> {
+/// Writes the nearest value that the camera takes, within the tolerance.
+fn near(camera: &dyn Features, write: &Write, number: Number, bounds: Bounds) -> Result<Done, Failed> {
     let name = write.feature.as_str();
     let Number { wanted, per_unit, tolerance, unit } = number;
-    let asked = format!("{} = {wanted}", write.word);
+    let requested = format!("{} = {wanted}", write.word);
     let value = per_unit.to_feature(wanted);
     let least = per_unit.to_word(bounds.min.unwrap_or(value));
     let most = per_unit.to_word(bounds.max.unwrap_or(value));
-    // The camera itself says how far it goes, which is more than its description does.
+    // The bounds of the moment may be narrower than those of the description.
     if wanted < least - tolerance || wanted > most + tolerance {
         let then = match write.word {
             "packet_delay_us" if wanted > most => {
-                "; packets of cameras on one link then come closer to each other, and the switch must hold them: give the \
+                "; packets of cameras on one link then come closer to each other, and the switch must hold them: give \
+                 the \
                  camera a port of its own, or let each packet be larger (acquisition.packet_bytes)"
             }
             _ => "",
         };
-        return Ok(Err(format!(
-            "{name} takes {} to {} {unit} now, asked for {asked}: say {} within that{then}",
+        return Err(Failed::Refused(format!(
+            "{name} takes {} to {} {unit} now, requested {requested}: set {} within that{then}",
             rounded(least),
             rounded(most),
             write.word
         )));
     }
-    let value = nearest_step(value, bounds);
-    let value = number_of(camera, name, value);
-    if let Err(failed) = camera.write(name, &value) {
-        return refused(write, &value.to_string(), failed);
-    }
-    let actual = match camera.read(name) {
-        Ok(actual) => actual,
-        Err(failed) => return refused(write, &value.to_string(), failed),
-    };
+    let value = number_of(camera, name, nearest_step(value, bounds));
+    camera.write(name, &value).map_err(|failed| refused(write, &value, failed))?;
+    let actual = camera.read(name).map_err(|failed| refused(write, &value, failed))?;
     let taken = per_unit.to_word(as_number(&actual));
     let off = (taken - wanted).abs();
     if !taken.is_finite() || off > tolerance + 1e-9 * wanted.abs() {
@@ -189,18 +147,19 @@ fn near(
             "exposure_us" => format!(", or exposure_tolerance_us = {}", off.ceil()),
             _ => String::new(),
         };
-        return Ok(Err(format!(
-            "{asked}: the nearest that the camera takes is {1} {unit} ({name} is {actual}), more than {tolerance} \
-             {unit} away; say {} = {1}{allow}",
+        return Err(Failed::Refused(format!(
+            "{requested}: the nearest that the camera takes is {1} {unit} ({name} is {actual}), more than {tolerance} \
+             {unit} away; set {} = {1}{allow}",
             write.word,
             rounded(taken)
         )));
     }
-    let told = (off > 1e-3 * wanted.abs().max(1.0) * 0.1)
-        .then(|| format!("{asked}: the camera takes {} {unit} ({name} {actual})", rounded(taken)));
-    Ok(Ok(Done { requested: value, actual, told }))
+    let remark = (off > 1e-3 * wanted.abs().max(1.0) * 0.1)
+        .then(|| format!("{requested}: the camera takes {} {unit} ({name} {actual})", rounded(taken)));
+    Ok(Done { requested: value, actual, remark })
 }
 
+/// How a scale converts numbers for this camera; the inner error names what the camera does not state.
 fn per_unit(
     camera: &dyn Features,
     scale: &Scale,
@@ -208,49 +167,28 @@ fn per_unit(
 ) -> Result<Result<PerUnit, String>, CameraError> {
     Ok(match scale {
         Scale::Times(times) => Ok(PerUnit::Times(*times)),
-        Scale::Ticks(feature) => {
-            let tick_us = answered(camera.read(feature))?.map_or(0.0, |value| as_number(&value));
-            match tick_us > 0.0 {
-                true => Ok(PerUnit::Times(1.0 / tick_us)),
-                false => Err(format!("{feature}, which says how long a tick is, cannot be read")),
-            }
-        }
-        Scale::Clock => match tick_frequency(camera)? {
-            Some(hz) => Ok(PerUnit::Times(hz as f64 / 1e6)),
+        Scale::Ticks(feature) => match answered(camera.read(feature))?.map(|value| as_number(&value)) {
+            Some(tick_us) if tick_us > 0.0 => Ok(PerUnit::Times(1.0 / tick_us)),
+            _ => Err(format!("{feature}, which states the length of a tick, cannot be read")),
+        },
+        Scale::Clock => match tick_frequencies(camera)?.first() {
+            Some(hz) => Ok(PerUnit::Times(*hz as f64 / 1e6)),
             None => Err(
-                "it counts ticks, and the camera does not say how many a second has; set it in `settings`, \
-                 and say left_to_settings = [\"packet_delay_us\"]"
+                "it counts ticks, and the camera does not state how many a second has; set it in `settings`, \
+                 and set left_to_settings = [\"packet_delay_us\"]"
                     .to_owned(),
             ),
         },
-        Scale::Gain => match bounds.min {
-            // A factor of one adds nothing; below it are those that dim, and none is zero.
-            Some(min) if min > 0.0 && min <= 1.5 => Ok(PerUnit::Factor),
-            Some(min) if min <= 0.0 => Ok(PerUnit::Times(1.0)),
-            Some(min) => Ok(PerUnit::LeastAlone(min)),
-            None => Ok(PerUnit::Times(1.0)),
-        },
+        // A gain factor begins near one, and may begin below one, but never at zero.
+        Scale::Gain => Ok(match bounds.min {
+            Some(min) if min > 0.0 && min <= 1.5 => PerUnit::Factor,
+            Some(min) if min > 1.5 => PerUnit::LeastAlone(min),
+            _ => PerUnit::Times(1.0),
+        }),
     })
 }
 
-fn tick_frequency(camera: &dyn Features) -> Result<Option<u64>, CameraError> {
-    const FEATURE: &str = "GevTimestampTickFrequency";
-    let stated = match camera.has(FEATURE) {
-        true => answered(camera.integer(FEATURE))?.and_then(|hz| u64::try_from(hz).ok()),
-        false => None,
-    };
-    if let Some(hz) = stated.filter(|hz| *hz > 0) {
-        return Ok(Some(hz));
-    }
-    if !camera.has_registers() {
-        return Ok(None);
-    }
-    let high = answered(camera.register(FREQUENCY[0]))?.unwrap_or(0);
-    let low = answered(camera.register(FREQUENCY[1]))?.unwrap_or(0);
-    Ok(Some(u64::from(high) << 32 | u64::from(low)).filter(|hz| *hz > 0))
-}
-
-/// The nearest value that lies in the bounds and on their steps.
+/// The nearest value that lies within the bounds and on a step.
 fn nearest_step(value: f64, bounds: Bounds) -> f64 {
     let (min, max) = (bounds.min.unwrap_or(f64::MIN), bounds.max.unwrap_or(f64::MAX));
     let value = if min <= max { value.clamp(min, max) } else { value };
@@ -263,15 +201,7 @@ fn nearest_step(value: f64, bounds: Bounds) -> f64 {
     }
 }
 
-/// A number as the feature's kind has it.
-fn number_of(camera: &dyn Features, feature: &str, number: f64) -> FeatureValue {
-    match camera.feature(feature).map(|known| known.kind) {
-        Some(Kind::Integer) => FeatureValue::Integer(number.round() as i64),
-        _ => FeatureValue::Float(number),
-    }
-}
-
-/// As people read it.
+/// Three decimals are enough for a message.
 fn rounded(number: f64) -> f64 {
     (number * 1e3).round() / 1e3
 }
@@ -284,11 +214,7 @@ fn as_number(value: &FeatureValue) -> f64 {
     }
 }
 
-fn range(bounds: Bounds) -> String {
-    let edge = |bound: Option<f64>| bound.map_or_else(|| "any".to_owned(), |bound| bound.to_string());
-    format!("{} to {}", edge(bounds.min), edge(bounds.max))
-}
-
+/// The end of a message: which key of the configuration to change.
 fn change(write: &Write) -> String {
     match write.word {
         "" => String::new(),
@@ -297,14 +223,15 @@ fn change(write: &Write) -> String {
     }
 }
 
-fn refused(write: &Write, value: &str, failed: Failed) -> Result<Result<Done, String>, CameraError> {
+/// Adds feature and value to the reason of a refusal.
+fn refused(write: &Write, value: &FeatureValue, failed: Failed) -> Failed {
     match failed {
-        Failed::Lost(error) => Err(error),
-        Failed::Refused(why) | Failed::Nonsense(why) => Ok(Err(format!(
+        Failed::Refused(why) | Failed::Nonsense(why) => Failed::Refused(format!(
             "{} cannot be set to {value}: the camera refuses it ({why}){}",
             write.feature,
             change(write)
-        ))),
+        )),
+        lost @ Failed::Lost(_) => lost,
     }
 }
 

@@ -1,71 +1,36 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the unit and the link report by themselves, and the bounded stream that it goes into.
+//! Events that the unit and the link report, and the bounded stream that carries them.
 
 use super::order::Order;
-use super::timing::trigger_index;
-use crate::base::ids::TriggerIndex;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use hsu_firmware_proto::{EndReason, Fault, SessionId, Status, TriggerRecord, UnitToHost};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Events that nobody has taken yet: over a minute of triggers at 120 Hz. Then the oldest gives way.
+/// Room for events, over a minute of triggers at 120 Hz; when full, the oldest event is discarded.
 const EVENTS: usize = 8192;
 
-/// Something the unit, or the link, reports by itself.
+/// An event that the unit, or the link to it, reports unasked.
 #[derive(Debug, Clone, PartialEq)]
 pub enum HsuEvent {
     /// The unit's status: four times a second and at every change of state.
     Heartbeat(Status),
-    /// A trigger was fired. Within a session their numbers have no gap and no repetition.
-    Trigger {
-        /// The session.
-        session: SessionId,
-        /// Number (negative: warm-up), time on the HSU's clock in ns, flags.
-        trigger: TriggerRecord,
-    },
-    /// Triggers that were fired, but whose times are lost for good.
-    TriggersMissing {
-        /// The session.
-        session: SessionId,
-        /// Number of the first.
-        first: i64,
-        /// How many.
-        count: u64,
-    },
-    /// The train has ended; comes once, behind its last trigger.
-    Done {
-        /// The session.
-        session: SessionId,
-        /// Triggers fired, without warm-up.
-        emitted: u64,
-        /// Why it ended.
-        reason: EndReason,
-    },
-    /// The unit found something wrong.
-    Fault {
-        /// The session that it is at.
-        session: SessionId,
-        /// What.
-        fault: Fault,
-    },
-    /// The unit cannot be talked to.
+    /// A trigger was fired. Within a session their numbers have no gap and no repetition; warm-up triggers have
+    /// negative numbers. Times are of the HSU's clock, ns.
+    Trigger { session: SessionId, trigger: TriggerRecord },
+    /// Triggers, from number `first` on, that were fired but whose times are lost for good.
+    TriggersMissing { session: SessionId, first: i64, count: u64 },
+    /// The train has ended, for this reason; comes once, behind its last trigger. `emitted`: triggers without warm-up.
+    Done { session: SessionId, emitted: u64, reason: EndReason },
+    /// The unit found something wrong in its current session.
+    Fault { session: SessionId, fault: Fault },
+    /// The unit does not answer any more.
     LinkLost(LinkLoss),
-    /// It can again, after [`LinkLoss::Silent`].
+    /// The unit answers again, after [`LinkLoss::Silent`].
     LinkBack,
 }
 
-impl HsuEvent {
-    /// The trigger index, if the event is a trigger of the train itself.
-    pub fn index(&self) -> Option<TriggerIndex> {
-        match self {
-            Self::Trigger { trigger, .. } => trigger_index(trigger),
-            _ => None,
-        }
-    }
-}
-
-/// How a link was lost.
+/// The way in which a link was lost.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum LinkLoss {
     /// The unit does not answer; the link comes back by itself if it does.
@@ -76,14 +41,15 @@ pub enum LinkLoss {
     Broken(String),
 }
 
-/// Where events go, in order.
+/// The stream of events to the consumer, in order.
 #[derive(Debug)]
 pub(super) struct Feed {
     order: Mutex<Order>,
     sender: Sender<HsuEvent>,
-    /// The consumer's end, to make room.
-    receiver: Receiver<HsuEvent>,
-    dropped: AtomicU64,
+    /// The consumer's end, here also to discard the oldest event.
+    pub(super) receiver: Receiver<HsuEvent>,
+    /// Events that were discarded because the channel was full.
+    pub(super) dropped: AtomicU64,
 }
 
 impl Feed {
@@ -92,17 +58,7 @@ impl Feed {
         Self { order: Mutex::default(), sender, receiver, dropped: AtomicU64::new(0) }
     }
 
-    /// The consumer's end.
-    pub(super) fn events(&self) -> &Receiver<HsuEvent> {
-        &self.receiver
-    }
-
-    /// Events that gave way because nobody took them.
-    pub(super) fn dropped(&self) -> u64 {
-        self.dropped.load(Ordering::Relaxed)
-    }
-
-    /// A session is being armed; see [`Order::begin`].
+    /// Begins a session that is being armed; see [`Order::begin`].
     pub(super) fn begin(&self, session: SessionId, first: i64) {
         self.order().begin(session, first, &mut |event| self.emit(event));
     }
@@ -111,7 +67,7 @@ impl Feed {
         self.order.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Bounded, and never blocks the reading thread: when full, the oldest event gives way and is counted.
+    /// Sends an event without blocking the reading thread: when full, the oldest event is discarded and counted.
     pub(super) fn emit(&self, mut event: HsuEvent) {
         while let Err(TrySendError::Full(back)) = self.sender.try_send(event) {
             event = back;
@@ -121,7 +77,7 @@ impl Feed {
         }
     }
 
-    /// Takes a message that is no answer; says whether there is a hole to be asked about.
+    /// Takes a message that is no answer. `true`: there is a hole whose triggers must be requested again.
     pub(super) fn take(&self, message: UnitToHost) -> bool {
         let event = match message {
             UnitToHost::Heartbeat(status) => HsuEvent::Heartbeat(status),

@@ -2,9 +2,10 @@
 //! Requests and answers over a byte stream: framing, request ids, timeouts, retries.
 //!
 //! One request at a time is under way, because the unit remembers only the last answer of a link: a repeated
-//! request is then answered again instead of being carried out twice. A thread reads; answers go to whoever
-//! asked, everything else to a callback.
+//! request is then answered again instead of being carried out twice. A thread reads; answers go to the thread that
+//! sent the request, everything else to a callback.
 
+use super::error::HsuError;
 use crate::base::time::monotonic_ns;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use hsu_firmware_proto::frame::{self, Decoder};
@@ -16,38 +17,40 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Answers that nobody has collected; only stale ones ever queue up.
+/// Room for answers; only late answers to earlier requests ever queue up.
 const ANSWERS: usize = 16;
 
-/// How long to wait, and how often to ask.
+/// How long a request waits for its answer, and how often it is sent.
 #[derive(Debug, Clone, Copy)]
 pub struct Patience {
-    /// For one answer.
+    /// Longest wait for the answer to one attempt.
     pub answer: Duration,
-    /// Of the same request.
+    /// How often the same request is sent.
     pub attempts: u32,
 }
 
-/// Why there is no answer.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum LinkError {
-    /// All attempts went unanswered.
-    NoAnswer {
-        /// How many.
-        attempts: u32,
-        /// For how long altogether.
-        waited: Duration,
-    },
-    /// The stream broke.
-    Broken(String),
+/// Timeouts of the host towards the unit.
+#[derive(Debug, Clone, Copy)]
+pub struct HsuTimeouts {
+    /// Longest wait for an answer, and the number of attempts.
+    pub patience: Patience,
+    /// Time between two heartbeats to the unit; well below [`HsuTiming::host_silence`](super::HsuTiming::host_silence).
+    pub heartbeat: Duration,
 }
 
-/// An answer with the times that frame it.
+impl Default for HsuTimeouts {
+    fn default() -> Self {
+        let patience = Patience { answer: Duration::from_millis(250), attempts: 4 };
+        Self { patience, heartbeat: Duration::from_millis(400) }
+    }
+}
+
+/// An answer with the times before and after it.
 #[derive(Debug, Clone, Copy)]
 pub struct Answer {
-    /// What the unit said.
+    /// The message of the unit.
     pub message: UnitToHost,
-    /// Just before the request was written, for the last time.
+    /// Just before the request was written for the last time.
     pub sent: Instant,
     /// Just after the answer's last byte was read.
     pub received: Instant,
@@ -56,10 +59,10 @@ pub struct Answer {
 #[derive(Debug, Default)]
 struct Shared {
     stop: AtomicBool,
-    /// Of frames and messages that could not be read.
+    /// Number of frames and messages that could not be read.
     bad_frames: AtomicU32,
     /// When a message was last read, CLOCK_MONOTONIC, ns.
-    heard_ns: AtomicU64,
+    last_message_ns: AtomicU64,
     broken: Mutex<Option<String>>,
 }
 
@@ -69,8 +72,10 @@ struct Asking {
     next_id: u32,
 }
 
-/// A link that is being read.
+/// A link to the unit over a byte stream. [`Hsu`](super::Hsu) makes and owns it. One request at a time is under way,
+/// and each is answered or fails within its patience. Dropping the link ends the reading thread.
 pub struct Link {
+    device: String,
     asking: Mutex<Asking>,
     shared: Arc<Shared>,
     reader: Option<JoinHandle<()>>,
@@ -83,90 +88,114 @@ impl std::fmt::Debug for Link {
 }
 
 impl Link {
-    /// Starts reading. `reader` must return `TimedOut`, `WouldBlock` or `Interrupted` now and then when
-    /// nothing comes, or the link cannot be closed. `on_message` gets every message that is not an answer,
-    /// in order, on the reading thread; it must not ask anything itself.
+    /// Starts reading. `device` names the stream in errors. `reader` must return `TimedOut`, `WouldBlock` or
+    /// `Interrupted` now and then when nothing comes, or the link cannot be closed. `on_message` gets every message
+    /// that is not an answer, in order, on the reading thread; it must not send requests itself.
     pub fn start(
+        device: &str,
         reader: impl Read + Send + 'static,
         writer: impl Write + Send + 'static,
         on_message: impl FnMut(UnitToHost) + Send + 'static,
     ) -> io::Result<Self> {
         let shared = Arc::new(Shared::default());
         let (to_asker, answers) = bounded(ANSWERS);
-        shared.heard_ns.store(monotonic_ns(Instant::now()), Ordering::Relaxed);
+        shared.last_message_ns.store(monotonic_ns(Instant::now()), Ordering::Relaxed);
         let for_thread = shared.clone();
         let reader = std::thread::Builder::new()
             .name("hsu-read".into())
             .spawn(move || read_all(reader, &for_thread, &to_asker, on_message))?;
-        // Stale answers to an earlier process on the same device must not look like ours.
+        // A random first id: late answers to an earlier process on the same device must not match.
         let next_id = RandomState::new().hash_one(()) as u32;
         let asking = Mutex::new(Asking { writer: Box::new(writer), answers, next_id });
-        Ok(Self { asking, shared, reader: Some(reader) })
+        Ok(Self { device: device.to_owned(), asking, shared, reader: Some(reader) })
     }
 
-    /// Asks until there is an answer or patience ends.
-    pub fn ask(&self, request: Request, patience: Patience) -> Result<Answer, LinkError> {
-        self.exchange(self.asking.lock().unwrap_or_else(PoisonError::into_inner), request, patience)
+    /// Sends a request until it is answered or patience ends. `what` names it in errors.
+    ///
+    /// # Errors
+    /// [`HsuError::Refused`], [`HsuError::NoAnswer`] or [`HsuError::Io`].
+    pub fn ask(&self, what: &'static str, request: Request, patience: Patience) -> Result<Answer, HsuError> {
+        self.exchange(lock(&self.asking), what, request, patience)
     }
 
-    /// Asks, unless another request is under way: then `None`.
-    pub fn ask_if_idle(&self, request: Request, patience: Patience) -> Option<Result<Answer, LinkError>> {
-        Some(self.exchange(self.asking.try_lock().ok()?, request, patience))
+    /// As [`Self::ask`], or `None` where another request is under way.
+    pub fn ask_if_idle(
+        &self,
+        what: &'static str,
+        request: Request,
+        patience: Patience,
+    ) -> Option<Result<Answer, HsuError>> {
+        Some(self.exchange(self.asking.try_lock().ok()?, what, request, patience))
     }
 
     fn exchange(
         &self,
         mut asking: MutexGuard<'_, Asking>,
+        what: &'static str,
         request: Request,
-        patience: Patience,
-    ) -> Result<Answer, LinkError> {
+        Patience { answer, attempts }: Patience,
+    ) -> Result<Answer, HsuError> {
         let request_id = asking.next_id;
         asking.next_id = request_id.wrapping_add(1);
         let mut message = [0; MAX_MESSAGE];
         let length = HostToUnit { request_id, request }.encode(&mut message);
         let mut framed = [0; frame::MAX_FRAME];
         let length = frame::encode(&message[..length], &mut framed);
-        // What is still there answers an earlier request that has been given up.
+        // Late answers to earlier requests.
         while asking.answers.try_recv().is_ok() {}
         let begun = Instant::now();
-        for _ in 0..patience.attempts {
+        for _ in 0..attempts {
             let sent = Instant::now();
             match asking.writer.write_all(&framed[..length]) {
-                // The line takes nothing: the other end does not read. That is a silent device.
+                // The line accepts nothing because the other end does not read: that is a silent device.
                 Err(error) if is_pause(&error) => {}
-                Err(error) => return Err(LinkError::Broken(error.to_string())),
+                Err(error) => return Err(self.broken(error.to_string())),
                 Ok(()) => {}
             }
-            let deadline = sent + patience.answer;
             loop {
-                match asking.answers.recv_deadline(deadline) {
+                match asking.answers.recv_deadline(sent + answer) {
+                    Ok((UnitToHost::Refused(id, refusal), _)) if id == request_id => {
+                        return Err(HsuError::Refused { request: what, refusal });
+                    }
                     Ok((message, received)) if message.request_id() == Some(request_id) => {
                         return Ok(Answer { message, sent, received });
                     }
                     Ok(_) => {}
                     Err(RecvTimeoutError::Timeout) => break,
-                    Err(RecvTimeoutError::Disconnected) => return Err(self.broken()),
+                    Err(RecvTimeoutError::Disconnected) => {
+                        let cause = lock(&self.shared.broken).clone();
+                        return Err(self.broken(cause.unwrap_or_else(|| "the reading thread ended".into())));
+                    }
                 }
             }
         }
-        Err(LinkError::NoAnswer { attempts: patience.attempts, waited: begun.elapsed() })
+        let (device, waited) = (self.device.clone(), begun.elapsed());
+        Err(HsuError::NoAnswer { device, request: what, attempts, waited })
     }
 
-    fn broken(&self) -> LinkError {
-        let cause = self.shared.broken.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        LinkError::Broken(cause.unwrap_or_else(|| "the reading thread ended".into()))
+    fn broken(&self, cause: String) -> HsuError {
+        HsuError::Io { device: self.device.clone(), cause }
     }
 
-    /// How long no message has come, of whatever kind.
+    /// Name of the serial device, or of what stands in for it.
+    pub fn device(&self) -> &str {
+        &self.device
+    }
+
+    /// Time since the last message of any kind.
     pub fn quiet_for(&self) -> Duration {
-        let heard = self.shared.heard_ns.load(Ordering::Relaxed);
-        Duration::from_nanos(monotonic_ns(Instant::now()).saturating_sub(heard))
+        let last = self.shared.last_message_ns.load(Ordering::Relaxed);
+        Duration::from_nanos(monotonic_ns(Instant::now()).saturating_sub(last))
     }
 
-    /// Frames and messages from the unit that could not be read.
+    /// Number of frames and messages from the unit that could not be read.
     pub fn bad_frames(&self) -> u32 {
         self.shared.bad_frames.load(Ordering::Relaxed)
     }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Drop for Link {
@@ -205,9 +234,9 @@ fn read_all(
                 unreadable = unreadable.saturating_add(1);
                 return;
             };
-            shared.heard_ns.store(monotonic_ns(received), Ordering::Relaxed);
+            shared.last_message_ns.store(monotonic_ns(received), Ordering::Relaxed);
             match message.request_id() {
-                // A full queue holds stale answers only; the asker will ask again.
+                // A full queue holds late answers only; the request will be repeated.
                 Some(_) => drop(answers.try_send((message, received))),
                 None => on_message(message),
             }
@@ -217,5 +246,5 @@ fn read_all(
 }
 
 fn set_broken(shared: &Shared, cause: &str) {
-    *shared.broken.lock().unwrap_or_else(PoisonError::into_inner) = Some(cause.to_owned());
+    *lock(&shared.broken) = Some(cause.to_owned());
 }

@@ -1,31 +1,30 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Puts trigger telemetry back into a gapless sequence.
 //!
-//! Telemetry is not acknowledged, so a disturbed frame leaves a hole in the trigger numbers. [`Order`] holds
-//! back what comes behind a hole until the hole has been asked for again, so that a consumer sees every
-//! trigger once, in order, and the end of the train last. Sans I/O: the caller asks and calls
-//! [`Order::fill`].
+//! Telemetry is not acknowledged, so a disturbed frame leaves a hole in the trigger numbers. [`Order`] holds back the
+//! events behind a hole until the triggers in it have been requested again, so that a consumer sees every trigger once,
+//! in order, and the end of the train last. It does no I/O: the caller sends the request and calls [`Order::fill`].
 
 use super::event::HsuEvent;
 use hsu_firmware_proto::{EndReason, HISTORY, SessionId, State, Status, TriggerRecord};
 use std::collections::VecDeque;
 
-/// Events behind a hole; beyond this the hole is given up. Half a minute at 120 Hz.
+/// Most events behind a hole, half a minute at 120 Hz; beyond this the hole is given up.
 const MAX_HELD: usize = 4096;
 
-/// Triggers that were fired, but not heard of.
+/// Triggers that were fired, but whose telemetry was lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Hole {
     pub(super) session: SessionId,
-    /// Number of the first.
+    /// Number of the first missing trigger.
     pub(super) first: i64,
-    /// One behind the last.
+    /// Number behind the last missing trigger.
     pub(super) end: i64,
 }
 
 impl Hole {
-    /// What the unit can still have of it: first number and count.
-    pub(super) fn worth_asking(&self) -> (i64, u32) {
+    /// The part that the unit can still have: first number and count.
+    pub(super) fn still_known(&self) -> (i64, u32) {
         let first = self.first.max(self.end.saturating_sub(HISTORY as i64));
         (first, u32::try_from(self.end.saturating_sub(first)).unwrap_or(0))
     }
@@ -36,7 +35,7 @@ impl Hole {
 pub(super) struct Order {
     session: SessionId,
     next: i64,
-    /// A trigger of it has been seen.
+    /// Whether a trigger of the session has been received.
     started: bool,
     done: bool,
     hole: Option<Hole>,
@@ -44,8 +43,8 @@ pub(super) struct Order {
 }
 
 impl Order {
-    /// A session is being armed: its first trigger has this number. A session that has begun goes on: the unit
-    /// will refuse to arm it again.
+    /// Begins a session that is being armed, with the number of its first trigger. A session that has fired goes on,
+    /// because the unit refuses to arm it again.
     pub(super) fn begin(&mut self, session: SessionId, first: i64, emit: &mut impl FnMut(HsuEvent)) {
         if self.session == session && self.started {
             return;
@@ -54,16 +53,16 @@ impl Order {
         *self = Self { session, next: first, ..Self::default() };
     }
 
-    /// What must be asked for before more events can pass.
+    /// The hole that must be filled before more events can pass.
     pub(super) fn hole(&self) -> Option<Hole> {
         self.hole
     }
 
-    /// Takes an event off the line; passes on what is in order.
+    /// Takes an event from the line, and passes on what is in order.
     pub(super) fn push(&mut self, event: HsuEvent, emit: &mut impl FnMut(HsuEvent)) {
         match &event {
             HsuEvent::Trigger { session, trigger } if *session != self.session => {
-                // A train that another process armed: its beginning is not ours to ask for.
+                // A train that another process armed: it begins with this trigger for this process.
                 self.begin(*session, trigger.number, emit);
                 self.push(event, emit);
             }
@@ -85,11 +84,9 @@ impl Order {
                 }
             }
             HsuEvent::Done { session, .. } if *session != self.session => emit(event),
+            HsuEvent::Done { .. } if self.done => {}
             HsuEvent::Done { emitted, .. } => {
                 let end = i64::try_from(*emitted).unwrap_or(i64::MAX);
-                if self.done {
-                    return;
-                }
                 if end > 0 && self.next < end {
                     self.open_hole(end);
                     self.held.push_back(event);
@@ -107,7 +104,7 @@ impl Order {
         }
     }
 
-    /// A status repeats what telemetry has said before it; what is missing then is lost.
+    /// Compares a status with the telemetry before it: what is missing then was lost.
     fn check_against(&mut self, status: &Status, emit: &mut impl FnMut(HsuEvent)) {
         if status.session != self.session || self.hole.is_some() || self.done {
             return;
@@ -142,7 +139,7 @@ impl Order {
         }
     }
 
-    /// Nobody can say any more what happened in the hole.
+    /// Reports the triggers of the hole as missing.
     fn give_up(&mut self, emit: &mut impl FnMut(HsuEvent)) {
         while self.hole.is_some() {
             self.fill(&[], emit);
@@ -188,8 +185,8 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the line loses, and whatever the unit has forgotten when it is asked again: each trigger is
-        /// accounted for once, in order, and the end comes last.
+        /// Whatever the line loses, and whatever the unit has forgotten when triggers are requested again: each
+        /// trigger is accounted for once, in order, and the end comes last.
         #[test]
         fn every_trigger_is_accounted_for_once_in_order(
             lost in prop::collection::vec(any::<bool>(), 40),

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! From the rig and the session to what the unit is told.
+//! The unit's timing and arm request, from the rig and the session.
 
 use super::error::HsuError;
 use crate::base::ids::{NodeId, SessionName, TriggerIndex};
@@ -8,21 +8,21 @@ use hsu_firmware_proto::{Arm, HeadTiming, LINKS, NodeName, SessionId, Sync, Timi
 use sha2::{Digest, Sha256};
 use std::time::Duration;
 
-/// When projectors and cameras are triggered. Head number h is the rig's head h.
+/// The times at which projectors and cameras are triggered. Head number h is the rig's head h.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HsuTiming {
-    /// From trigger to trigger, ns.
+    /// Time from trigger to trigger, ns.
     pub period_ns: u64,
-    /// What starts a trigger.
+    /// Source of the triggers: the unit's timer or the projector.
     pub sync: Sync,
-    /// The unit takes a host for dead that was silent for this long.
+    /// Silence after which the unit considers a host dead.
     pub host_silence: Duration,
-    /// Per head: delay after the projector's frame sync, and exposure.
+    /// Per head: delay after the projector's frame sync, and exposure, ns.
     pub heads: Vec<HeadTiming>,
 }
 
 impl HsuTiming {
-    /// What the rig file asks for; the unit's timer drives the projectors.
+    /// The timing of a rig file; the unit's timer drives the projectors.
     pub fn from_rig(rig: &Rig) -> Self {
         Self {
             period_ns: (1e9 / rig.trigger_rate_hz).round() as u64,
@@ -36,21 +36,22 @@ impl HsuTiming {
         }
     }
 
-    /// As it goes over the wire; the error says what the unit could not run.
+    /// The timing for the protocol; an error where the unit could not run it.
     pub(super) fn to_wire(&self) -> Result<Timing, HsuError> {
         let silence_ns = u64::try_from(self.host_silence.as_nanos()).unwrap_or(u64::MAX);
-        Ok(Timing::new(self.period_ns, self.sync, silence_ns, &self.heads)?)
+        Timing::new(self.period_ns, self.sync, silence_ns, &self.heads)
+            .map_err(|error| HsuError::Unfit(format!("the rig's timing does not suit the HSU: {error}")))
     }
 }
 
-/// What every node must ask for in the same way before a train can start.
+/// The arm request, which every node must send in the same way before a train can start.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ArmRequest {
-    /// See [`session_id`].
+    /// Id of the session, see [`session_id`].
     pub session: SessionId,
-    /// Triggers, without warm-up; `None`: until stopped.
+    /// Number of triggers without warm-up; `None`: until stopped.
     pub triggers: Option<u64>,
-    /// Triggers before trigger index 0, for cameras that need some to wake up.
+    /// Number of triggers before trigger index 0, for cameras that need some to wake up.
     pub warm_up: u32,
     /// The nodes that must arm.
     pub nodes: Vec<NodeId>,
@@ -59,9 +60,12 @@ pub struct ArmRequest {
 impl ArmRequest {
     pub(super) fn to_wire(&self, timing_digest: u32) -> Result<Arm, HsuError> {
         if self.nodes.is_empty() || self.nodes.len() > LINKS {
-            return Err(HsuError::Nodes { found: self.nodes.len() });
+            return Err(HsuError::Unfit(format!(
+                "{} nodes are to arm the HSU: expected 1 to {LINKS}, one a link",
+                self.nodes.len()
+            )));
         }
-        // Sorted, because the unit compares what the links ask for.
+        // Sorted, because the unit compares the requests of the links.
         let mut nodes: Vec<&NodeId> = self.nodes.iter().collect();
         nodes.sort();
         let mut expected = [NodeName::NONE; LINKS];
@@ -73,11 +77,14 @@ impl ArmRequest {
     }
 }
 
-/// A node's name as it goes over the wire.
+/// A node's name for the protocol.
 pub(super) fn node_name(node: &NodeId) -> Result<NodeName, HsuError> {
-    NodeName::new(node.as_str())
-        .filter(|name| !name.is_none())
-        .ok_or_else(|| HsuError::Name { name: node.as_str().to_owned() })
+    NodeName::new(node.as_str()).filter(|name| !name.is_none()).ok_or_else(|| {
+        HsuError::Unfit(format!(
+            "node name {:?} does not suit the HSU: expected 1 to 16 bytes",
+            node.as_str()
+        ))
+    })
 }
 
 /// The id under which all nodes arm a session: the first 16 bytes of the SHA-256 of its name.

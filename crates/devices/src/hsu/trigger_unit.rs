@@ -1,29 +1,25 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What fires the triggers, to be connected to: the HSU on its serial line, or this process by action commands.
+//! The source of triggers: the HSU on its serial line, or action commands of this process.
 
 use super::action::ActionSetup;
 use super::error::HsuError;
-use super::unit::{Hsu, HsuTimeouts};
+use super::link::HsuTimeouts;
+use super::unit::Hsu;
 use crate::base::ids::NodeId;
 use crate::config::{NodeConfig, TriggerSource};
 use std::path::PathBuf;
 
-/// One of the two.
+/// The source of a node's triggers, from its node file. [`TriggerUnit::connect`] makes the connection.
 #[derive(Debug, Clone)]
 pub enum TriggerUnit {
-    /// The HSU.
-    Serial {
-        /// Its serial device.
-        device: PathBuf,
-        /// Its input that carries linear time code.
-        time_code_input: Option<u8>,
-    },
+    /// The HSU on a serial device; `time_code_input` is its input that carries linear time code.
+    Serial { device: PathBuf, time_code_input: Option<u8> },
     /// Action commands to this node's cameras.
     Action(ActionSetup),
 }
 
 impl TriggerUnit {
-    /// As a node file says.
+    /// The source that a node file names.
     pub fn of(config: &NodeConfig) -> Self {
         match &config.trigger {
             TriggerSource::Hsu { device, time_code_input } => {
@@ -33,7 +29,7 @@ impl TriggerUnit {
         }
     }
 
-    /// The action commands, where they are the triggers.
+    /// The action commands, where they are the source.
     pub fn action(&self) -> Option<&ActionSetup> {
         match self {
             Self::Serial { .. } => None,
@@ -41,7 +37,7 @@ impl TriggerUnit {
         }
     }
 
-    /// The input that carries linear time code, where there is one.
+    /// The HSU's input that carries linear time code, where there is one.
     pub fn time_code_input(&self) -> Option<u8> {
         match self {
             Self::Serial { time_code_input, .. } => *time_code_input,
@@ -49,7 +45,7 @@ impl TriggerUnit {
         }
     }
 
-    /// Connects to it and greets it as this node.
+    /// Connects to the source and greets it as this node.
     pub fn connect(&self, role: &NodeId, timeouts: &HsuTimeouts) -> Result<Hsu, HsuError> {
         match self {
             Self::Serial { device, .. } => Hsu::connect(device, role, timeouts),

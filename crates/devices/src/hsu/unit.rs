@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The unit as this node sees it: typed commands and a stream of events.
 
-use super::conversation::{Conversation, unexpected};
+use super::conversation::Conversation;
 use super::error::HsuError;
 use super::event::{Feed, HsuEvent};
-use super::link::{Answer, Link, Patience};
+use super::link::{Answer, HsuTimeouts, Link, Patience};
 use super::timing::{ArmRequest, HsuTiming, node_name};
 use crate::base::ids::NodeId;
 use crossbeam_channel::{Receiver, Sender, bounded};
@@ -14,70 +14,58 @@ use hsu_firmware_proto::{
 };
 use std::io::{Read, Write};
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// The line's speed; a USB or pty device takes any.
+/// Speed of the serial line in baud; USB and pty devices ignore it.
 const BAUD: u32 = 921_600;
-/// How often the reading thread looks whether it is to stop.
+/// Longest wait of the reading thread before it checks whether to stop.
 const READ_PAUSE: Duration = Duration::from_millis(20);
-/// Between two looks at the status in [`Hsu::wait_armed`].
+/// Time between two requests for the status in [`Hsu::wait_armed`].
 const POLL: Duration = Duration::from_millis(20);
-/// How patient the host is.
-#[derive(Debug, Clone, Copy)]
-pub struct HsuTimeouts {
-    /// For one answer, and how often to ask.
-    pub patience: Patience,
-    /// Between two signs of life to the unit; well below [`HsuTiming::host_silence`].
-    pub heartbeat: Duration,
-}
 
-impl Default for HsuTimeouts {
-    fn default() -> Self {
-        let patience = Patience { answer: Duration::from_millis(250), attempts: 4 };
-        Self { patience, heartbeat: Duration::from_millis(400) }
-    }
-}
-
-/// One reading of the unit's clock: it showed `time_ns` at some moment between the two instants.
+/// One reading of the unit's clock, which showed `time_ns` at some moment between the two instants.
 #[derive(Debug, Clone, Copy)]
 pub struct ClockSample {
-    /// Just before the question was written.
+    /// Just before the request was written.
     pub sent: Instant,
     /// Just after the answer was read.
     pub received: Instant,
-    /// The HSU's clock, ns.
+    /// Time on the HSU's clock, ns.
     pub time_ns: u64,
 }
 
-/// What the unit says of its input lines.
+/// Edges of the unit's input lines.
 #[derive(Debug, Clone, Copy)]
 pub struct InputEdges {
-    /// Number of the edge that comes next.
+    /// Number of the next edge, which is still to come.
     pub next: u64,
-    /// A bit a line, as its last edge left it.
+    /// Levels of the lines after their last edges, one bit each.
     pub levels: u8,
-    /// The edges, in order.
+    /// The requested edges, in order of their numbers.
     pub edges: Edges,
 }
 
-/// What the unit says of the time code.
+/// Time codes that the unit has decoded.
 #[derive(Debug, Clone, Copy)]
 pub struct HeardTimeCodes {
-    /// The input that it decodes.
+    /// The input that the unit decodes.
     pub input: Option<u8>,
-    /// Number of the code that comes next.
+    /// Number of the next code, which is still to come.
     pub next: u64,
-    /// Frames that were no good, since it was switched on.
+    /// Number of damaged time-code frames since power-up.
     pub refused: u32,
-    /// Number of the first of `codes`; they are consecutive.
+    /// Number of the first of `codes`, which are consecutive.
     pub first: u64,
-    /// The codes, in order.
+    /// The requested codes, in order of their numbers.
     pub codes: TimeCodeFrames,
 }
 
-/// A connected HSU. Dropping it says goodbye and closes the device.
+/// A connected HSU, as this node sees it. [`TriggerUnit::connect`](super::TriggerUnit::connect) makes it, and the
+/// node owns it. Each command is answered, refused or timed out; events come once and in order. Dropping it sends a
+/// goodbye and closes the device.
 #[derive(Debug)]
 pub struct Hsu {
     conversation: Arc<Conversation>,
@@ -88,8 +76,7 @@ pub struct Hsu {
 }
 
 impl Hsu {
-    /// Opens the serial device and greets the unit as node `role`. From then on signs of life are sent
-    /// automatically.
+    /// Opens the serial device and greets the unit as node `role`. From then on heartbeats are sent automatically.
     pub fn connect(device: &Path, role: &NodeId, timeouts: &HsuTimeouts) -> Result<Self, HsuError> {
         let name = device.display().to_string();
         let open = |error: serialport::Error| HsuError::Open {
@@ -97,7 +84,7 @@ impl Hsu {
             cause: error.to_string(),
         };
         let writer = serialport::new(&name, BAUD).timeout(READ_PAUSE).open().map_err(open)?;
-        // What an earlier conversation left in the driver.
+        // Discard bytes of an earlier connection in the driver.
         writer.clear(serialport::ClearBuffer::Input).map_err(open)?;
         let reader = writer.try_clone().map_err(open)?;
         Self::over(reader, writer, name, role, timeouts)
@@ -117,15 +104,16 @@ impl Hsu {
         let for_link = (feed.clone(), wake.clone());
         let broken =
             |cause: std::io::Error| HsuError::Io { device: device.clone(), cause: cause.to_string() };
-        let link = Link::start(reader, writer, move |message| {
+        let link = Link::start(&device, reader, writer, move |message| {
             let (feed, wake) = &for_link;
             if feed.take(message) {
-                // A keeper that is already woken looks at the hole anyway.
+                // A keeper thread that is already woken fills the hole anyway.
                 let _ = wake.try_send(());
             }
         })
         .map_err(broken)?;
-        let conversation = Arc::new(Conversation::new(device.clone(), link, *timeouts, feed));
+        let stop = AtomicBool::new(false);
+        let conversation = Arc::new(Conversation { link, timeouts: *timeouts, feed, stop });
         let welcome = conversation.greet(Hello { min: version::MIN, current: version::CURRENT, role })?;
         let for_keeper = conversation.clone();
         let keeper = std::thread::Builder::new()
@@ -135,71 +123,58 @@ impl Hsu {
         Ok(Self { conversation, welcome, timing_digest: Mutex::new(0), wake, keeper: Some(keeper) })
     }
 
-    /// Who the unit is.
+    /// Product name, unique id and firmware of the unit.
     pub fn identity(&self) -> &Identity {
         &self.welcome.identity
     }
 
-    /// What the unit said of itself in the handshake.
+    /// The unit's answer to the greeting.
     pub fn welcome(&self) -> &Welcome {
         &self.welcome
     }
 
-    /// What the unit reports by itself. The channel holds 8192 events; if it is not read, the oldest give way.
+    /// The unit's events. The channel holds 8192; if it is not read, the oldest are discarded.
     pub fn events(&self) -> &Receiver<HsuEvent> {
-        self.conversation.feed().events()
+        &self.conversation.feed.receiver
     }
 
-    /// Events that gave way because nobody took them.
+    /// Number of events that were discarded because the channel was full.
     pub fn dropped_events(&self) -> u64 {
-        self.conversation.feed().dropped()
+        self.conversation.feed.dropped.load(Ordering::Relaxed)
     }
 
-    /// Broken frames and unreadable messages from the unit.
+    /// Number of damaged frames and unreadable messages from the unit.
     pub fn bad_frames(&self) -> u32 {
-        self.conversation.link().bad_frames()
+        self.conversation.link.bad_frames()
     }
 
-    /// Sets the timing and checks the unit's echo of it. Needed on every node before [`Self::arm`].
+    /// Sets the timing, and checks that the unit repeats it. Required on every node before [`Self::arm`].
     pub fn configure(&self, timing: &HsuTiming) -> Result<(), HsuError> {
         let wire = timing.to_wire()?;
-        match self.conversation.ask("the timing", Request::Configure(Ok(wire)))?.message {
+        match self.conversation.ask("the timing", Request::Configure(Ok(wire)))? {
             UnitToHost::Timing(_, echo) if echo == wire => {
                 *self.timing_digest.lock().unwrap_or_else(PoisonError::into_inner) = wire.digest();
                 Ok(())
             }
-            other => Err(unexpected("the timing", "its echo", &other)),
+            other => Err(HsuError::unexpected("the timing", "its echo", &other)),
         }
     }
 
-    /// The timing in force.
-    pub fn read_timing(&self) -> Result<HsuTiming, HsuError> {
-        match self.conversation.ask("a question for its timing", Request::ReadTiming)?.message {
-            UnitToHost::Timing(_, timing) => Ok(HsuTiming {
-                period_ns: timing.period_ns,
-                sync: timing.sync,
-                host_silence: Duration::from_nanos(timing.host_silence_ns),
-                heads: timing.heads().to_vec(),
-            }),
-            other => Err(unexpected("a question for its timing", "its timing", &other)),
-        }
-    }
-
-    /// Arms this node's link. The unit is armed when all nodes in the request have asked for the same.
+    /// Arms this node's link. The unit is armed when all nodes of the request have sent the same request.
     pub fn arm(&self, request: &ArmRequest) -> Result<(), HsuError> {
         let digest = *self.timing_digest.lock().unwrap_or_else(PoisonError::into_inner);
         let wire = request.to_wire(digest)?;
-        self.conversation.feed().begin(wire.session, -i64::from(wire.warm_up));
+        self.conversation.feed.begin(wire.session, -i64::from(wire.warm_up));
         self.command("arming", Request::Arm(wire))
     }
 
-    /// Takes up the triggers of a session that another connection has armed, from number `next` on: those fired
-    /// meanwhile are asked for.
+    /// Takes up the triggers of a session that another connection has armed, from number `next` on; triggers that
+    /// were fired in the meantime are requested.
     pub fn resume(&self, session: SessionId, next: i64) {
-        self.conversation.feed().begin(session, next);
+        self.conversation.feed.begin(session, next);
     }
 
-    /// Waits until all nodes have armed the session (or it has gone on from there).
+    /// Waits until all nodes have armed the session, or it is already running or finished.
     pub fn wait_armed(&self, session: SessionId, patience: Duration) -> Result<Status, HsuError> {
         let begun = Instant::now();
         loop {
@@ -218,38 +193,38 @@ impl Hsu {
         }
     }
 
-    /// Starts the train; any one node may. The first trigger comes a period later.
+    /// Starts the train; any one node may do so. The first trigger comes a period later.
     pub fn start(&self, session: SessionId) -> Result<(), HsuError> {
         self.command("the start", Request::Start(session))
     }
 
-    /// Starts the train at the next such edge of an input; any one node may. [`Self::stop`] takes it back.
+    /// Starts the train at the next edge of this slope on an input; any one node may do so. [`Self::stop`] cancels it.
     pub fn start_at_edge(&self, session: SessionId, slope: Slope) -> Result<(), HsuError> {
         self.command("the start at an input", Request::StartAtEdge(session, slope))
     }
 
     /// Edges of the input lines from number `first` on, up to eleven of those that the unit still has (the last 96).
     pub fn input_edges(&self, first: u64) -> Result<InputEdges, HsuError> {
-        const WHAT: &str = "a question for its inputs";
-        match self.conversation.ask(WHAT, Request::QueryEdges { first })?.message {
+        const WHAT: &str = "the request for its inputs";
+        match self.conversation.ask(WHAT, Request::QueryEdges { first })? {
             UnitToHost::Edges { next, levels, edges, .. } => Ok(InputEdges { next, levels, edges }),
-            other => Err(unexpected(WHAT, "edges", &other)),
+            other => Err(HsuError::unexpected(WHAT, "edges", &other)),
         }
     }
 
-    /// Says which input carries linear time code, until this link ends. Its edges are not told any more.
+    /// Selects the input that carries linear time code, until this link ends. Its edges are not reported any more.
     pub fn set_time_code(&self, input: Option<u8>) -> Result<(), HsuError> {
         self.command("the input of the time code", Request::SetTimeCode(input))
     }
 
     /// Time codes from number `first` on, up to twelve of those that the unit still has (the last 64).
     pub fn time_codes(&self, first: u64) -> Result<HeardTimeCodes, HsuError> {
-        const WHAT: &str = "a question for time code";
-        match self.conversation.ask(WHAT, Request::QueryTimeCodes { first })?.message {
+        const WHAT: &str = "the request for time code";
+        match self.conversation.ask(WHAT, Request::QueryTimeCodes { first })? {
             UnitToHost::TimeCodes { input, next, refused, first, codes, .. } => {
                 Ok(HeardTimeCodes { input, next, refused, first, codes })
             }
-            other => Err(unexpected(WHAT, "time codes", &other)),
+            other => Err(HsuError::unexpected(WHAT, "time codes", &other)),
         }
     }
 
@@ -258,46 +233,43 @@ impl Hsu {
         self.command("the stop", Request::Stop(session))
     }
 
-    /// Ends the train at once, or takes the arming of all nodes back; [`HsuEvent::Done`] follows.
+    /// Ends the train at once, or disarms all nodes; [`HsuEvent::Done`] follows.
     /// [`SessionId::NONE`]: whichever session it is.
     pub fn disarm(&self, session: SessionId) -> Result<(), HsuError> {
         self.command("disarming", Request::Disarm(session))
     }
 
-    /// The unit's status.
+    /// Requests the unit's current status.
     pub fn status(&self) -> Result<Status, HsuError> {
-        match self.conversation.ask("a question for its status", Request::ReadStatus)?.message {
+        match self.conversation.ask("the request for its status", Request::ReadStatus)? {
             UnitToHost::Status(_, status) => Ok(status),
-            other => Err(unexpected("a question for its status", "its status", &other)),
+            other => Err(HsuError::unexpected("the request for its status", "its status", &other)),
         }
     }
 
-    /// Reads the unit's clock once. Take many, and trust those with the shortest way there and back.
+    /// Reads the unit's clock once. Callers read it many times, and trust the readings with the shortest round trip.
     pub fn query_clock(&self) -> Result<ClockSample, HsuError> {
-        const WHAT: &str = "a question for its time";
-        let patience = Patience { attempts: 1, ..self.conversation.timeouts().patience };
+        const WHAT: &str = "the request for its time";
+        let Patience { answer, attempts } = self.conversation.timeouts.patience;
+        let once = Patience { answer, attempts: 1 };
         let mut attempt = 1;
         loop {
-            // Each attempt is a new request: an answer to an earlier one would be older than it looks.
+            // Each attempt is a new request: the answer to an earlier one would be older than it looks.
             let token = u64::from(attempt);
-            match self.conversation.ask_with(WHAT, Request::ReadClock { token }, patience) {
+            match self.conversation.link.ask(WHAT, Request::ReadClock { token }, once) {
                 Ok(Answer { message: UnitToHost::Clock { token: back, time_ns, .. }, sent, received })
                     if back == token =>
                 {
                     return Ok(ClockSample { sent, received, time_ns });
                 }
-                Ok(other) => return Err(unexpected(WHAT, "its time", &other.message)),
-                Err(HsuError::NoAnswer { .. })
-                    if attempt < self.conversation.timeouts().patience.attempts =>
-                {
-                    attempt += 1;
-                }
+                Ok(other) => return Err(HsuError::unexpected(WHAT, "its time", &other.message)),
+                Err(HsuError::NoAnswer { .. }) if attempt < attempts => attempt += 1,
                 Err(error) => return Err(error),
             }
         }
     }
 
-    /// Asks for past triggers again: those of `count` from `first` on that the unit still has (the last 512).
+    /// Requests past triggers again: those of `count` from `first` on that the unit still has (the last 512).
     pub fn query_triggers(
         &self,
         session: SessionId,
@@ -308,25 +280,23 @@ impl Hsu {
     }
 
     fn command(&self, what: &'static str, request: Request) -> Result<(), HsuError> {
-        match self.conversation.ask(what, request)?.message {
+        match self.conversation.ask(what, request)? {
             UnitToHost::Ack(_) => Ok(()),
-            other => Err(unexpected(what, "an acknowledgement", &other)),
+            other => Err(HsuError::unexpected(what, "an acknowledgement", &other)),
         }
     }
 }
 
 impl Drop for Hsu {
     fn drop(&mut self) {
-        self.conversation.stop();
+        self.conversation.stop.store(true, Ordering::Relaxed);
         let _ = self.wake.try_send(());
         if let Some(keeper) = self.keeper.take() {
             // A panic in the keeper has already been printed; a drop must not add another.
             let _ = keeper.join();
         }
-        // Whether it is heard makes no difference to us.
-        let _ = self
-            .conversation
-            .link()
-            .ask(Request::Goodbye, Patience { answer: Duration::from_millis(100), attempts: 1 });
+        // A lost goodbye does no harm: the unit notices the silence.
+        let patience = Patience { answer: Duration::from_millis(100), attempts: 1 };
+        let _ = self.conversation.link.ask("the goodbye", Request::Goodbye, patience);
     }
 }

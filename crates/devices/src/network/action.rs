@@ -1,49 +1,49 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Action commands of GVCP: one packet makes every camera that it is meant for take a frame, at once or at a time of
-//! the cameras' common clock.
+//! Action commands of GVCP: one packet makes every camera with its keys take a frame, at once or at a time of the
+//! cameras' common clock.
 //!
-//! The payload is device key, group key and group mask, and where the header's flags say so a time of 64 bits. All
+//! The payload is device key, group key and group mask, and with the flag `SCHEDULED` a time of 64 bits. All
 //! big-endian (GigE Vision 2.x, part 2).
 
-use super::gvcp::{ACKNOWLEDGE, command};
+use super::gvcp::{ACKNOWLEDGE, command, header};
 
 const ACTION: u16 = 0x0100;
-/// The payload ends with a time.
+/// Flag of a command whose payload ends with a time.
 const SCHEDULED: u8 = 0x80;
-/// The device has no clock that is set to others'.
+/// Status: the device's clock is not synchronized.
 const NO_REFERENCE_TIME: u16 = 0x8013;
-/// Its list of actions that wait is full.
+/// Status: the device's list of waiting actions is full.
 const OVERFLOW: u16 = 0x8015;
-/// The time was past; the action was done at once.
+/// Status: the time had passed, and the action was carried out at once.
 const LATE: u16 = 0x8016;
 
-/// Which cameras an action is for: those with this device key, this group key, and a bit of this mask.
+/// The cameras of an action: those with this device key, this group key, and a bit of this mask.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ActionKeys {
-    /// Of all devices that belong together.
+    /// Key that all devices of a rig share.
     pub device: u32,
-    /// Of a group of them.
+    /// Key of a group of devices of the rig.
     pub group: u32,
-    /// Bits, of which a device must have one.
+    /// Bits of which a device must have at least one.
     pub mask: u32,
 }
 
-/// What became of an action at a camera.
+/// A camera's answer to an action command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ActionStatus {
-    /// It is done, or waits for its time.
+    /// The action is carried out, or waits for its time.
     Taken,
-    /// Its time was past.
+    /// The time had passed, and the action was carried out at once.
     Late,
-    /// The camera's clock is not set to others'.
+    /// Refused: the camera's clock is not synchronized (PTP).
     NoTime,
-    /// Too many wait.
+    /// Refused: too many actions wait for their time.
     Full,
-    /// Refused, with this status.
+    /// Refused for another reason, with this GVCP status.
     Refused(u16),
 }
 
-/// An action command, at a time of the cameras' clock (ns) or at once. An acknowledge is asked for.
+/// An action command with acknowledge, for a time of the cameras' clock (ns) or at once.
 pub fn action(id: u16, keys: ActionKeys, at_ns: Option<u64>) -> Vec<u8> {
     let mut payload = Vec::with_capacity(20);
     [keys.device, keys.group, keys.mask].iter().for_each(|key| payload.extend(key.to_be_bytes()));
@@ -52,10 +52,9 @@ pub fn action(id: u16, keys: ActionKeys, at_ns: Option<u64>) -> Vec<u8> {
     command(ACTION, flags, id, &payload)
 }
 
-/// A camera's answer to an action command: the command's id, and what became of it. `None` for anything else.
+/// A camera's answer to an action command, with the command's id. `None` for any other datagram.
 pub fn action_reply(datagram: &[u8]) -> Option<(u16, ActionStatus)> {
-    let word = |at: usize| Some(u16::from_be_bytes(*datagram.get(at..)?.first_chunk()?));
-    let (status, code, id) = (word(0)?, word(2)?, word(6)?);
+    let [status, code, _, id] = header(datagram)?;
     let status = match status {
         0 => ActionStatus::Taken,
         LATE => ActionStatus::Late,
@@ -86,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_says_what_became_of_it() {
+    fn an_answer_has_its_status() {
         let answer = |status: [u8; 2]| action_reply(&[status[0], status[1], 1, 1, 0, 0, 0, 9]);
         assert_eq!(answer([0, 0]), Some((9, ActionStatus::Taken)));
         assert_eq!(answer([0x80, 0x16]), Some((9, ActionStatus::Late)));

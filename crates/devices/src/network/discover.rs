@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Asks every interface which cameras are there, by broadcast, and gives addresses to those in wrong subnets.
+//! Finds cameras by broadcast on every interface, and gives addresses to those in wrong subnets.
 
 use super::gvcp::{self, ForceIp, Reply};
 use super::interface::Interface;
@@ -9,7 +9,7 @@ use std::net::{Ipv4Addr, UdpSocket};
 use std::os::fd::AsRawFd;
 use std::time::{Duration, Instant};
 
-/// A network card's own number, the lower 48 bits.
+/// MAC address of a network card, in the lower 48 bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Mac(pub u64);
 
@@ -26,22 +26,22 @@ impl fmt::Display for Mac {
     }
 }
 
-/// One camera's answer.
+/// One camera's answer to a discovery.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Answer {
-    /// Its MAC.
+    /// MAC of the camera's network card.
     pub mac: Mac,
-    /// The address that it has now.
+    /// The camera's current IPv4 address.
     pub address: Ipv4Addr,
-    /// Manufacturer.
+    /// Name of the manufacturer, as the camera reports it.
     pub vendor: String,
-    /// Model.
+    /// Name of the model, as the camera reports it.
     pub model: String,
-    /// Serial number.
+    /// Serial number of the camera.
     pub serial: String,
-    /// The name that its user gave it; empty where none did.
+    /// The user-defined name; empty where there is none.
     pub user_name: String,
-    /// The interface on which it answered.
+    /// Name of the interface on which it answered.
     pub interface: String,
 }
 
@@ -74,7 +74,7 @@ impl Answer {
     }
 }
 
-/// A socket whose broadcasts leave by this interface, and that hears answers which are broadcast, too.
+/// A socket whose broadcasts leave by this interface, and that also receives answers which are broadcast.
 fn socket_on(interface: &Interface) -> io::Result<UdpSocket> {
     let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
     let name = interface.name.as_bytes();
@@ -88,7 +88,7 @@ fn socket_on(interface: &Interface) -> io::Result<UdpSocket> {
             name.len() as libc::socklen_t,
         )
     };
-    // Linux before 5.7 wants a right for that: then the interface's address says where to.
+    // Linux before 5.7 requires a capability for that: then the interface's address selects the interface.
     let socket = match (bound, interface.subnets.first()) {
         (0, _) | (_, None) => socket,
         (_, Some(subnet)) => UdpSocket::bind((subnet.address, 0))?,
@@ -97,7 +97,7 @@ fn socket_on(interface: &Interface) -> io::Result<UdpSocket> {
     Ok(socket)
 }
 
-/// Sends to everybody on the interface: the cameras of its subnets, and those that are in none of them.
+/// Broadcasts on the interface: to the cameras of its subnets, and to those in none of them.
 fn send_to_all(socket: &UdpSocket, interface: &Interface, packet: &[u8]) -> io::Result<()> {
     let own = interface.subnets.iter().map(|subnet| subnet.broadcast());
     let mut sent = Err(io::Error::from(io::ErrorKind::AddrNotAvailable));
@@ -108,79 +108,50 @@ fn send_to_all(socket: &UdpSocket, interface: &Interface, packet: &[u8]) -> io::
     sent
 }
 
-/// Takes answers to request `id` until `until`, or until `done` says so.
-fn listen(
-    socket: &UdpSocket,
-    id: u16,
-    until: Instant,
-    mut done: impl FnMut(Reply<'_>) -> bool,
-) -> io::Result<()> {
-    let mut buffer = [0; 1024];
-    loop {
-        let left = until.saturating_duration_since(Instant::now());
-        if left.is_zero() {
-            return Ok(());
-        }
-        socket.set_read_timeout(Some(left))?;
-        match socket.recv_from(&mut buffer) {
-            Ok((length, _)) => {
-                if let Some(reply) = gvcp::reply(&buffer[..length], id)
-                    && done(reply)
-                {
-                    return Ok(());
-                }
-            }
-            Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {}
-            // Somebody's host refused a packet: not the one that is waited for.
-            Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
-            Err(error) => return Err(error),
-        }
-    }
-}
-
-/// Asks on every interface who is there, and takes answers for `patience`; each camera once, by interface and MAC. An
-/// interface that cannot be asked is left out.
+/// Sends a discovery on every interface and collects answers for `patience`; each camera once, by interface and MAC. An
+/// interface that cannot send is left out.
 pub fn discover(interfaces: &[Interface], patience: Duration) -> Vec<Answer> {
     const ID: u16 = 0x4d42;
-    let ask = |interface: &Interface| -> io::Result<UdpSocket> {
+    let send = |interface: &Interface| -> io::Result<UdpSocket> {
         let socket = socket_on(interface)?;
         send_to_all(&socket, interface, &gvcp::discovery(ID))?;
         Ok(socket)
     };
-    let asked: Vec<(&Interface, UdpSocket)> =
-        interfaces.iter().filter_map(|interface| Some((interface, ask(interface).ok()?))).collect();
+    let sent: Vec<(&Interface, UdpSocket)> =
+        interfaces.iter().filter_map(|interface| Some((interface, send(interface).ok()?))).collect();
     let until = Instant::now() + patience;
     let mut found: Vec<Answer> = Vec::new();
-    for (interface, socket) in asked {
-        // Answers wait in their sockets while others are read; a moment for each is enough then.
+    for (interface, socket) in sent {
+        // Answers wait in their sockets while others are read; then 20 ms for each socket are enough.
         let until = until.max(Instant::now() + Duration::from_millis(20));
-        let heard = listen(&socket, ID, until, |reply| {
-            if let Reply::Done(payload) = reply
-                && let Some(answer) = Answer::read(payload, &interface.name)
+        let collect = |bytes: &[u8], _| -> Option<()> {
+            if let Some(Reply::Done(payload)) = gvcp::reply(bytes, ID)
+                && let Some(answer) = Answer::read(&payload, &interface.name)
                 && !found.iter().any(|known| known.mac == answer.mac)
             {
                 found.push(answer);
             }
-            false
-        });
-        if let Err(error) = heard {
-            tracing::warn!(interface = interface.name, %error, "its answers cannot be read");
+            None
+        };
+        if let Err(error) = gvcp::receive_until(&socket, until, collect) {
+            tracing::warn!(interface = interface.name, %error, "answers to the discovery cannot be read");
         }
     }
     found.sort_by_key(|answer| (answer.interface.clone(), answer.mac));
     found
 }
 
-/// Gives a camera an address, until its power is switched off, and waits for its answer, `patience` at most. Whether it has the
-/// address now says [`discover`].
+/// Gives a camera an address, which it keeps until its power is switched off, and waits for its answer for at most
+/// `patience`. [`discover`] then shows whether the camera has the address.
 ///
 /// # Errors
-/// As the system says.
+/// The system refuses to send or to receive.
 pub fn force_address(interface: &Interface, force: &ForceIp, patience: Duration) -> io::Result<()> {
     const ID: u16 = 0x4d43;
     let socket = socket_on(interface)?;
     send_to_all(&socket, interface, &gvcp::force_ip(ID, force))?;
-    listen(&socket, ID, Instant::now() + patience, |reply| matches!(reply, Reply::Done(_)))
+    let is_done = |bytes: &[u8], _| matches!(gvcp::reply(bytes, ID), Some(Reply::Done(_))).then_some(());
+    gvcp::receive_until(&socket, Instant::now() + patience, is_done).map(drop)
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Network interfaces: their subnets, largest packets and speeds.
+//! Network interfaces of this host: their subnets, largest packets and speeds.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -10,14 +10,14 @@ use std::str::FromStr;
 /// An address with the length of its network's prefix.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Subnet {
-    /// The address, of an interface or of the network itself.
+    /// Address of an interface, or of the network itself.
     pub address: Ipv4Addr,
-    /// Bits of the network, 0 to 32.
+    /// Length of the network's prefix in bits, 0 to 32.
     pub bits: u8,
 }
 
 impl Subnet {
-    /// Ones where the network is.
+    /// The network mask: ones in the prefix.
     pub fn mask(&self) -> Ipv4Addr {
         Ipv4Addr::from_bits(u32::MAX.checked_shl(32 - u32::from(self.bits)).unwrap_or(0))
     }
@@ -33,14 +33,14 @@ impl Subnet {
         self.contains(other.address) || other.contains(self.address)
     }
 
-    /// Its addresses for hosts, in order, without those of the network itself and of its broadcasts.
+    /// The host addresses of the network, in order, without the network's own and the broadcast address.
     pub fn hosts(&self) -> impl Iterator<Item = Ipv4Addr> + use<> {
         let mask = self.mask().to_bits();
         let (first, last) = (self.address.to_bits() & mask, self.address.to_bits() | !mask);
         (first.saturating_add(1)..last).map(Ipv4Addr::from_bits)
     }
 
-    /// The address that all of it hear.
+    /// The broadcast address of the network.
     pub fn broadcast(&self) -> Ipv4Addr {
         Ipv4Addr::from_bits(self.address.to_bits() | !self.mask().to_bits())
     }
@@ -66,20 +66,20 @@ impl FromStr for Subnet {
 /// A network interface as the system describes it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Interface {
-    /// Its name.
+    /// Name of the interface, as `eth0`.
     pub name: String,
-    /// Largest IP packet, bytes.
+    /// Largest IP packet that it sends, bytes.
     pub mtu: Option<u32>,
-    /// Whether it has a link. The loopback's state is "unknown", which counts.
+    /// Whether the interface has a link. The loopback's state "unknown" counts as one.
     pub up: bool,
-    /// Mbit/s, where the driver knows.
+    /// Speed in Mbit/s, where the driver reports it.
     pub speed_mbit: Option<u64>,
-    /// Its addresses.
+    /// The interface's addresses with their subnets.
     pub subnets: Vec<Subnet>,
 }
 
 impl Interface {
-    /// What `/sys/class/net` says of it.
+    /// Describes an interface from `/sys/class/net`.
     pub fn describe(name: &str, subnets: Vec<Subnet>) -> Self {
         let read = |file: &str| {
             let path = Path::new("/sys/class/net").join(name).join(file);
@@ -89,7 +89,7 @@ impl Interface {
             name: name.to_owned(),
             mtu: read("mtu").and_then(|text| text.parse().ok()),
             up: read("operstate").is_some_and(|state| state == "up" || state == "unknown"),
-            // -1 where the driver does not know.
+            // The driver gives -1 where it does not know the speed.
             speed_mbit: read("speed").and_then(|text| text.parse().ok()).filter(|&speed| speed > 0),
             subnets,
         }
@@ -103,15 +103,11 @@ impl Interface {
 
 /// All interfaces that have an IPv4 address and are switched on, by their names.
 pub fn interfaces() -> Vec<Interface> {
-    let mut found: BTreeMap<String, Vec<Subnet>> = BTreeMap::new();
-    for (name, subnet) in addresses() {
-        found.entry(name).or_default().push(subnet);
-    }
-    found.into_iter().map(|(name, subnets)| Interface::describe(&name, subnets)).collect()
+    addresses().into_iter().map(|(name, subnets)| Interface::describe(&name, subnets)).collect()
 }
 
-/// Names of interfaces without a link, below `sys`, which is `/sys`: a cable that is out, a switch without power, an interface
-/// that is switched off. With its link an interface often loses its addresses and routes, and then nothing else names it.
+/// Names of interfaces without a link, from the directory `sys` (`/sys`): an unplugged cable, a switch without power,
+/// or an interface that is down. Such an interface often has no addresses and routes, so that it shows nowhere else.
 pub fn without_link(sys: &Path) -> Vec<String> {
     let state = |path: &Path| std::fs::read_to_string(path.join("operstate")).unwrap_or_default();
     let entries = std::fs::read_dir(sys.join("class/net")).into_iter().flatten().flatten();
@@ -123,14 +119,14 @@ pub fn without_link(sys: &Path) -> Vec<String> {
     names
 }
 
-/// Names of interfaces that are switched on, each with one of its addresses.
-fn addresses() -> Vec<(String, Subnet)> {
+/// Names of interfaces that are switched on, with their IPv4 addresses.
+fn addresses() -> BTreeMap<String, Vec<Subnet>> {
     let mut list: *mut libc::ifaddrs = std::ptr::null_mut();
     // SAFETY: `list` is a valid place for a pointer.
     if unsafe { libc::getifaddrs(&raw mut list) } != 0 {
-        return Vec::new();
+        return BTreeMap::new();
     }
-    let mut found = Vec::new();
+    let mut found: BTreeMap<String, Vec<Subnet>> = BTreeMap::new();
     let mut next = list;
     while !next.is_null() {
         // SAFETY: an entry of the list that getifaddrs has made; it lives until the list is freed below.
@@ -138,7 +134,7 @@ fn addresses() -> Vec<(String, Subnet)> {
         next = entry.ifa_next;
         let up = entry.ifa_flags & libc::IFF_UP as u32 != 0;
         let bits = |place: *const libc::sockaddr| {
-            // SAFETY: null, or an address that lives as long as the entry; its family says how long it is.
+            // SAFETY: null, or an address that lives as long as the entry; its family gives its length.
             let family = unsafe { place.as_ref() }?.sa_family;
             if i32::from(family) != libc::AF_INET {
                 return None;
@@ -151,14 +147,17 @@ fn addresses() -> Vec<(String, Subnet)> {
         // SAFETY: a text that ends with a zero and lives as long as the entry.
         let name = unsafe { std::ffi::CStr::from_ptr(entry.ifa_name) }.to_string_lossy().into_owned();
         let subnet = Subnet { address: Ipv4Addr::from_bits(address), bits: mask.leading_ones() as u8 };
-        found.extend(up.then_some((name, subnet)));
+        if up {
+            found.entry(name).or_default().push(subnet);
+        }
     }
     // SAFETY: made by getifaddrs above, and freed once.
     unsafe { libc::freeifaddrs(list) };
     found
 }
 
-/// Pairs of interfaces that are in one subnet: the system sends by one of them, whichever a camera hangs on.
+/// Pairs of interfaces in one subnet: the system sends through one of them, even where a camera is connected to the
+/// other.
 pub fn shared_subnets(interfaces: &[Interface]) -> Vec<(Subnet, &str, &str)> {
     let mut pairs = Vec::new();
     for (i, one) in interfaces.iter().enumerate() {

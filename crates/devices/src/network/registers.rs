@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The registers of a GigE Vision camera that say which address it has after its power was switched off.
+//! The registers of a GigE Vision camera with the address that it has after its power was switched off.
 
 use super::gvcp::{self, Reply};
 use super::interface::Subnet;
@@ -7,35 +7,37 @@ use std::io;
 use std::net::{Ipv4Addr, UdpSocket};
 use std::time::{Duration, Instant};
 
-/// Bootstrap registers of the first interface.
+/// Register with the IP configuration of the first interface (GigE Vision bootstrap).
 const CONFIGURATION: u32 = 0x0014;
 const PERSISTENT_ADDRESS: u32 = 0x064c;
 const PERSISTENT_MASK: u32 = 0x065c;
 const PERSISTENT_GATEWAY: u32 = 0x066c;
 const PRIVILEGE: u32 = 0x0a00;
 
-/// Configuration: it keeps an address; it asks for one by DHCP.
+/// Bit of the configuration: the camera uses its persistent address.
 const PERSISTENT: u32 = 1;
+/// Bit of the configuration: the camera requests an address by DHCP.
 const DHCP: u32 = 2;
-/// Privilege: control.
+/// Value of the privilege register that takes control of the camera.
 const CONTROL: u32 = 2;
 
-/// For one answer, and how often to ask.
+/// Longest wait for one answer; a camera answers within a few milliseconds.
 const PATIENCE: Duration = Duration::from_millis(500);
+/// How often a command is sent, because UDP packets may get lost.
 const ATTEMPTS: usize = 3;
-/// An answer that was announced comes within this.
+/// Longest wait for an answer that the camera has announced as pending.
 const PENDING_PATIENCE: Duration = Duration::from_secs(3);
 
-/// Which address a camera has after its power was switched off.
+/// The address that a camera has after its power was switched off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum KeptAddress {
-    /// This one.
+    /// A persistent address, which is this one.
     Kept(Ipv4Addr),
-    /// What it is given by DHCP, or one of its own choice in 169.254.0.0/16.
+    /// An address by DHCP, or one of its own choice in 169.254.0.0/16.
     Any,
 }
 
-/// A control channel, without control of the camera.
+/// A control channel (GVCP), at first without control of the camera.
 struct Channel {
     socket: UdpSocket,
     next: u16,
@@ -51,26 +53,18 @@ impl Channel {
     fn ask(&mut self, packet: impl Fn(u16) -> Vec<u8>) -> io::Result<Vec<u8>> {
         let id = self.next;
         self.next = self.next.wrapping_add(1).max(1);
-        let mut buffer = [0; 1024];
         for _ in 0..ATTEMPTS {
             self.socket.send(&packet(id))?;
             let mut until = Instant::now() + PATIENCE;
             loop {
-                let left = until.saturating_duration_since(Instant::now());
-                if left.is_zero() {
-                    break;
-                }
-                self.socket.set_read_timeout(Some(left))?;
-                let Ok(length) = self.socket.recv(&mut buffer) else { continue };
-                match gvcp::reply(&buffer[..length], id) {
-                    Some(Reply::Done(payload)) => return Ok(payload.to_vec()),
+                match gvcp::receive_until(&self.socket, until, |bytes, _| gvcp::reply(bytes, id))? {
+                    Some(Reply::Done(payload)) => return Ok(payload),
                     Some(Reply::Refused(status)) => {
-                        return Err(io::Error::other(format!(
-                            "the camera refuses it (status 0x{status:04x})"
-                        )));
+                        let refused = format!("the camera refuses the command (GVCP status 0x{status:04x})");
+                        return Err(io::Error::other(refused));
                     }
                     Some(Reply::Pending) => until = Instant::now() + PENDING_PATIENCE,
-                    None => {}
+                    None => break,
                 }
             }
         }
@@ -88,10 +82,10 @@ impl Channel {
     }
 }
 
-/// Which address the camera at `address` keeps.
+/// Reads the persistent address of the camera at `address`.
 ///
 /// # Errors
-/// It does not answer, or has no such registers.
+/// The camera does not answer, or has no such registers.
 pub fn read_kept_address(address: Ipv4Addr) -> io::Result<KeptAddress> {
     let mut channel = Channel::open(address)?;
     match channel.read(CONFIGURATION)? & PERSISTENT {
@@ -100,10 +94,10 @@ pub fn read_kept_address(address: Ipv4Addr) -> io::Result<KeptAddress> {
     }
 }
 
-/// Has the camera at this address keep it.
+/// Makes the current address of a camera persistent.
 ///
 /// # Errors
-/// Another program controls it, it refuses, or it does not answer.
+/// Another program controls the camera, it refuses, or it does not answer.
 pub fn keep_address(subnet: Subnet) -> io::Result<()> {
     let mut channel = Channel::open(subnet.address)?;
     channel.write(PRIVILEGE, CONTROL)?;
@@ -112,14 +106,15 @@ pub fn keep_address(subnet: Subnet) -> io::Result<()> {
         (PERSISTENT_MASK, subnet.mask().to_bits()),
         (PERSISTENT_GATEWAY, 0),
     ];
-    let mut done = kept.iter().try_for_each(|(register, value)| channel.write(*register, *value));
-    done = done.and_then(|()| {
+    let write = |channel: &mut Channel| {
+        kept.iter().try_for_each(|(register, value)| channel.write(*register, *value))?;
         let now = channel.read(CONFIGURATION)?;
         channel.write(CONFIGURATION, now & !DHCP | PERSISTENT)
-    });
-    // Given back whatever came of it: the next program must not wait for a heartbeat.
-    let given_back = channel.write(PRIVILEGE, 0);
-    done.and(given_back)?;
+    };
+    let done = write(&mut channel);
+    // Control is released also after a failure, so that the next program need not wait for the heartbeat timeout.
+    let released = channel.write(PRIVILEGE, 0);
+    done.and(released)?;
     match read_kept_address(subnet.address)? {
         KeptAddress::Kept(kept) if kept == subnet.address => Ok(()),
         other => {

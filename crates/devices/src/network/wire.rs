@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a frame takes on a link: its packets, and the bytes around them.
+//! The load of a frame on a link: its packets, and the bytes around them.
 
-/// IP, UDP and GVSP headers of a payload packet with 16-bit block ids, bytes: a part of the packet's size.
+/// Bytes of the IP, UDP and GVSP headers of a payload packet with 16-bit block ids; they are part of the packet's size.
 pub const HEADERS: u64 = 36;
-/// Ethernet's preamble, header, checksum and gap, bytes a packet.
+/// Bytes of Ethernet's preamble, header, checksum and gap around each packet.
 pub const ETHERNET: u64 = 38;
 
-/// Packets of a frame, with leader and trailer. `packet_bytes`: of the IP packet.
+/// Number of packets of a frame, with leader and trailer. `packet_bytes`: size of the IP packet.
 pub fn packets(frame_bytes: u64, packet_bytes: u32) -> u64 {
     frame_bytes.div_ceil(u64::from(packet_bytes).saturating_sub(HEADERS).max(1)) + 2
 }

@@ -58,7 +58,7 @@ impl OpenCamera {
     fn set_up(&mut self) -> Result<PreparedCamera, CameraError> {
         let not_open = CameraError::Link { doing: "setting its features", detail: "not open".to_owned() };
         let camera = self.camera.as_mut().ok_or(not_open)?;
-        let SetUp { contract, settings, told, watched } = camera.set_up(&self.wishes)?;
+        let SetUp { contract, settings, remarks: told, watched } = camera.set_up(&self.wishes)?;
         let (id, identity, state) = (self.config.id.clone(), camera.identity().clone(), camera.state()?);
         self.contract = contract;
         self.watched = watched;

@@ -115,7 +115,7 @@ impl Node {
         if since.is_some_and(|since| since < period / 2) {
             return session.silence.pass_over();
         }
-        let heard = session.progress.heard.iter().map(|n| n.load(Ordering::Relaxed));
+        let heard = session.progress.activity.iter().map(|n| n.load(Ordering::Relaxed));
         for notice in session.silence.on_trigger(trigger, heard) {
             let (camera, kind, at, message) = match notice {
                 Notice::Silent { camera, since } => {

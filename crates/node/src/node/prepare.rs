@@ -8,9 +8,7 @@ use super::hsu_keeper::{HsuKeeper, LinkSetup};
 use super::node_thread::{Node, hsu_session};
 use crate::acquire::dry_run::DryRun;
 use crate::acquire::receiver::{Arrival, ReceiverSetup};
-use crate::acquire::recorder::{
-    Channels, Destination, LaneSetup, Recorder, RecorderCommand, RecorderOptions,
-};
+use crate::acquire::recorder::{Channels, LaneSetup, Recorder, RecorderCommand, RecorderOptions};
 use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault};
 use crate::camera::AppliedSetting;
@@ -70,7 +68,7 @@ impl Node {
             ..WriterOptions::default()
         };
         if request.dry_run {
-            session.destination = Some(Destination::DryRun(Box::new(DryRun::new(header))));
+            session.destination = Some(Box::new(DryRun::new(header)));
             return Ok(());
         }
         let mut recording = Recording::create(&session.dir, header, options).map_err(|error| {
@@ -90,7 +88,7 @@ impl Node {
             recording.event(&event).map_err(|error| Fault::new(Exit::Failure, error))?;
         }
         self.telemetry.recording(recording.progress());
-        session.destination = Some(Destination::Recording(Box::new(recording)));
+        session.destination = Some(Box::new(recording));
         Ok(())
     }
 

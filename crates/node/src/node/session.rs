@@ -5,7 +5,7 @@ use super::camera_keeper::{CameraKeeper, Report};
 use super::devices::PreparedCamera;
 use super::hsu_keeper::HsuKeeper;
 use super::silence::SilenceWatch;
-use crate::acquire::recorder::{Destination, Progress, RecorderCommand, RecorderEvent};
+use crate::acquire::recorder::{Progress, RecorderCommand, RecorderEvent, Sink};
 use crate::base::time::HostClock;
 use crate::control::request::{KeepRequest, SessionRequest};
 use crate::control::status::{CameraProgress, Held, Outcome, SessionStatus};
@@ -25,7 +25,7 @@ pub(crate) struct Session {
     pub(crate) request: SessionRequest,
     pub(crate) dir: PathBuf,
     pub(crate) cameras: Vec<PreparedCamera>,
-    pub(crate) destination: Option<Destination>,
+    pub(crate) destination: Option<Box<dyn Sink>>,
     pub(crate) progress: Arc<Progress>,
     pub(crate) to_recorder: Option<Sender<RecorderCommand>>,
     pub(crate) from_recorder: Receiver<RecorderEvent>,

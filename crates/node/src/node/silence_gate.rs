@@ -85,7 +85,7 @@ impl Node {
             |counters: &[AtomicU64], i: usize| counters.get(i).map_or(0, |n| n.load(Ordering::Relaxed));
         loop {
             std::thread::sleep(LOOK.min(silence));
-            let counts = |i| (load(&session.progress.heard, i), load(&session.progress.received, i));
+            let counts = |i| (load(&session.progress.activity, i), load(&session.progress.received, i));
             let counts: Vec<(u64, u64)> = (0..session.cameras.len()).map(counts).collect();
             match gate.look(began.elapsed(), &counts) {
                 Heard::Wait => {}

@@ -177,7 +177,7 @@ fn session_metrics(current: &Current, cameras: &[&str]) -> Vec<Family> {
         .map(|(stage, histogram)| Sample::of(&[("stage", stage)], histogram));
     vec![
         one("fourdbody_triggers_total", "Triggers reported.", Kind::Counter, load(&progress.triggers)),
-        of_cameras("fourdbody_packets_total", "Packets seen.", &progress.heard),
+        of_cameras("fourdbody_packets_total", "Packets seen.", &progress.activity),
         of_cameras("fourdbody_frames_received_total", "Frames taken off the stream.", &progress.received),
         of_cameras("fourdbody_frames_written_total", "Frames that the writer took.", &progress.frames),
         Family::new("fourdbody_gaps_total", "Gap records, by cause.", Kind::Counter, gaps.collect()),

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Why triggers before a frame have none: lost, ignored, or given up.
+//! Causes of the triggers before a frame that have no frame: lost, ignored, or given up.
 
 use super::Lane;
 use crate::record::GapCause;
 use std::ops::Range;
 
 impl Lane {
-    /// Why triggers before a frame have none: those of frames that came and were given up, `ignored` ones, and for the rest
-    /// `cause`. What was given up is of the trigger that its id points at, or where the frame shows now that triggers were
-    /// ignored, of its clock's.
+    /// Causes of the triggers before a frame that have no frame: frames that came and were given up, `ignored`
+    /// triggers, and `cause` for the rest. A frame that was given up belongs to the trigger of its block id or, where
+    /// the frame now shows that triggers were ignored, to the trigger of its clock.
     pub(super) fn skipped(&mut self, triggers: Range<u64>, cause: GapCause, ignored: u64) -> Vec<GapCause> {
         let given_up = std::mem::take(&mut self.given_up_now) as usize;
         let shown: Vec<(u64, Option<u64>)> = self.given_up_at.drain(..).collect();
@@ -26,17 +26,17 @@ impl Lane {
         let free = |causes: &[GapCause]| -> Vec<usize> {
             (0..causes.len()).filter(|place| causes[*place] != GapCause::IdentityMismatch).collect()
         };
-        // Frames lost on the way first: in which order the two happened is not to be known. A camera that woke late
-        // ignored its first triggers, and one whose frames were given up since it ignored some, too.
+        // The order of lost and ignored triggers is not known: lost ones are placed first. A camera that woke late
+        // ignored its first triggers, and so did one whose frames were given up because it ignored some.
         let came = given_up.saturating_sub(placed);
         let mut open = free(&causes);
-        // What came was not ignored.
+        // A trigger whose frame came was not ignored.
         let ignored = (ignored as usize).min(open.len().saturating_sub(came));
         if triggers.start > 0 && !disputed {
             open.reverse();
         }
         open.into_iter().take(ignored).for_each(|place| causes[place] = GapCause::NotTriggered);
-        // Of the others that were given up nothing is known but that they came.
+        // The triggers of the other given-up frames are not known: the last open ones are taken.
         let lost = free(&causes).into_iter().rev().filter(|place| causes[*place] == cause);
         let others: Vec<usize> = lost.take(came).collect();
         others.into_iter().for_each(|place| causes[place] = GapCause::IdentityMismatch);

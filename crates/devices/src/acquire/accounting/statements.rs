@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the accounting says in words: what happened before a frame and with it, and how a session went in all.
+//! The accounting's events: what happened before a frame and with it, and a summary of the session.
 
 use super::{Accounting, Full, GIVEN_UP_KEPT, Lane, sighting};
 use crate::acquire::receiver::Arrival;
@@ -10,9 +10,10 @@ use crate::camera::Breach;
 use crate::matcher::{Finding, Matched};
 use crate::record::{NodeEvent, UNCONFIRMED};
 
-/// Texts name blocks: a trigger's number stands in its event, where seconds before Record can change what it is counted from.
+/// Texts name blocks, not triggers: an event has its trigger in a field, whose count may still change with Record.
 impl Accounting {
-    /// Says how many frames before one were lost on the way, and how many triggers its camera ignored: from which trigger on.
+    /// Reports the frames that were lost before a frame, and the triggers that its camera ignored: their number and
+    /// the first.
     pub(super) fn report_skipped(
         &mut self,
         camera: usize,
@@ -30,7 +31,7 @@ impl Accounting {
         }
     }
 
-    /// Says what happened with a frame.
+    /// Reports what the matcher found about a frame.
     pub(super) fn report(&mut self, camera: usize, matched: &Matched, arrival: &Arrival) {
         let block = arrival.block_id;
         let (kind, text) = match matched.finding {
@@ -43,23 +44,23 @@ impl Accounting {
             }
             Some(Finding::ClockReset(step)) => (
                 "camera_clock_reset",
-                format!(
-                    "its clock was set anew, by {step} ns, from block {block} on: frames behind it agree"
-                ),
+                format!("its clock jumped by {step} ns at block {block}; the frames behind it agree"),
             ),
             Some(Finding::StampWrong(Some(by))) => (
                 "stamp_wrong",
-                format!("the timestamp of block {block} is {by} ns off; its id and arrival are not"),
+                format!(
+                    "the timestamp of block {block} is {by} ns off; its block id and arrival agree on the trigger"
+                ),
             ),
             Some(Finding::StampWrong(None)) => (
                 "stamp_wrong",
-                format!("block {block} has no timestamp; its id and arrival name its trigger"),
+                format!("block {block} has no timestamp; its block id and arrival agree on the trigger"),
             ),
         };
         self.note(camera, kind, u64::try_from(matched.number).ok(), text);
     }
 
-    /// One event for a row of dropped sets, when it is over.
+    /// Reports consecutive dropped sets as one event, when frames are accepted again.
     pub(super) fn end_of_full(&mut self) {
         if let Some(Full { first, last, frames, starved }) = self.full.take() {
             let why =
@@ -73,7 +74,7 @@ impl Accounting {
         }
     }
 
-    /// A frame that no trigger explains: a free-running camera makes many, so only the first is an event.
+    /// Counts a frame that no trigger explains. A free-running camera makes many, so only the first is an event.
     pub(super) fn spurious(&mut self, arrival: &Arrival, why: &str) {
         let lane = &mut self.lanes[arrival.camera];
         lane.spurious += 1;
@@ -83,7 +84,7 @@ impl Accounting {
         }
     }
 
-    /// A frame is not what was agreed: the first of each kind is an event.
+    /// Counts a frame that breaks its contract; the first of each kind is an event.
     pub(super) fn breach(&mut self, camera: usize, block: BlockId, breach: Breach) {
         if self.lanes[camera].breaches.count(breach) {
             let text = format!("block {block} is not recorded: {breach} (later ones are counted)");
@@ -91,7 +92,7 @@ impl Accounting {
         }
     }
 
-    /// Which of two triggers a frame was of could not be told: whichever it was, it has a gap record.
+    /// Gives a frame up whose trigger cannot be determined: the trigger gets a gap record.
     pub(super) fn give_up(&mut self, arrival: &Arrival) {
         let at = self.lanes[arrival.camera].matcher.points_at(arrival.block_id);
         if at.is_some_and(|number| number < 0) {
@@ -114,7 +115,8 @@ impl Accounting {
         }
         if lane.given_up == 1 {
             let text = format!(
-                "block {}: no two of counter, clock and arrival agree on a trigger that was reported; not recorded (later \
+                "block {}: no two of counter, clock and arrival agree on a trigger that was reported; not recorded \
+                 (later \
                  ones are counted)",
                 arrival.block_id
             );
@@ -139,7 +141,7 @@ impl Accounting {
         self.ring.small(ToWriter::Event(NodeEvent { host_time_ns, kind, camera, trigger, message }));
     }
 
-    /// How the clocks ran and how long frames took, for the record.
+    /// Records a summary of the session: the clocks, and the counts of all that went wrong.
     pub(crate) fn sum_up(&mut self) {
         self.clock_event(None);
         for camera in 0..self.lanes.len() {
@@ -157,7 +159,7 @@ impl Accounting {
                 );
             }
             if given_up > 1 {
-                let text = format!("{given_up} frames whose trigger could not be told");
+                let text = format!("{given_up} frames whose trigger could not be determined");
                 self.note(camera, "identity_unknown", None, text);
             }
             if unconfirmed > 0 {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The process, or a thread of the pixel path, stood still: what was lost meanwhile is given up by whole sets, and the host
-//! is named for it, not the disk.
+//! Pauses of the process or of a thread of the pixel path: what was lost is given up by whole frame sets, and the
+//! recorded cause is the host, not the disk.
 
 use super::{Accounting, LONGEST_TURN};
 use crate::acquire::pause::Pauses;
@@ -9,13 +9,13 @@ use crate::host::run_delay;
 use crate::record::TriggerRecord;
 use std::time::{Duration, Instant};
 
-/// Pauses that follow each other sooner are recorded once.
+/// Pauses that follow each other within this time are recorded once.
 const RECORD_AGAIN: Duration = Duration::from_secs(1);
-/// Between two looks whether threads get a processor: seldom, as a look takes a lock.
+/// Time between two checks whether threads get a processor; rare, because a check takes a lock.
 const LOOK: Duration = Duration::from_millis(200);
 
 impl Accounting {
-    /// A turn of the thread begins.
+    /// Begins a turn of the thread, and detects pauses since the last one.
     pub(in crate::acquire) fn begin_turn(&mut self) {
         let now = Instant::now();
         let took = now.saturating_duration_since(self.last_turn);
@@ -37,8 +37,8 @@ impl Accounting {
         }
     }
 
-    /// Something stood still for so long, until now. Frames of these triggers may be lost with any camera: what is not whole
-    /// is given up by sets.
+    /// Enters a pause of this length that ends now. Any camera may have lost frames of the triggers concerned, so
+    /// sets of them that are not complete are given up.
     pub(in crate::acquire) fn paused(&mut self, took: Duration, why: &str, now_ns: u64) {
         if self.draining {
             return;
@@ -59,20 +59,20 @@ impl Accounting {
         self.record_pause(Some((first, end - first)), why.to_owned());
     }
 
-    /// The first trigger that is reported decides which of them a pause before it concerns.
+    /// Assigns the pauses before the first report to triggers, once a first trigger is reported.
     pub(super) fn first_report(&mut self, record: &TriggerRecord) {
         if !self.pauses.has_early() {
             return;
         }
         let period_ns = self.options.period_ns;
         let fired = i128::from(record.hsu_time_ns) - i128::from(record.index.0) * i128::from(period_ns);
-        // Without the HSU's clock a report came when it was fired, or later.
-        let heard = || record.host_time_ns.saturating_sub(record.index.0.saturating_mul(period_ns));
+        // Without the HSU's clock: a report arrives when its trigger is fired, or later.
+        let at_report = || record.host_time_ns.saturating_sub(record.index.0.saturating_mul(period_ns));
         let first_ns =
-            self.hsu.host_from_device(fired).and_then(|ns| u64::try_from(ns).ok()).unwrap_or_else(heard);
+            self.hsu.host_from_device(fired).and_then(|ns| u64::try_from(ns).ok()).unwrap_or_else(at_report);
         if let Some(concerned) = self.pauses.begin(first_ns, period_ns) {
             self.sets.wait_until(concerned);
-            let why = "what stood still before any trigger was reported did so beyond trigger 0".to_owned();
+            let why = "the pause before any trigger was reported lasted beyond trigger 0".to_owned();
             self.record_pause(Some((0, concerned)), why);
         }
     }
@@ -84,7 +84,6 @@ impl Accounting {
                 format!("{why}: of {sets} frame sets from here on those that are not whole are given up")
             }
         };
-        // A starved host goes on being one.
         if self.recorded_pause.is_some_and(|at| self.awake < at + RECORD_AGAIN) {
             return;
         }

@@ -18,7 +18,7 @@ const HOST_NS: u64 = 50_000_000_000;
 /// By trigger and camera: the block that was recorded, or why there is none.
 type Outcomes = BTreeMap<(u64, usize), Result<u64, GapCause>>;
 
-/// Keeps outcomes.
+/// A sink that keeps all outcomes.
 struct Kept(Arc<Mutex<Outcomes>>);
 
 impl Sink for Kept {
@@ -30,10 +30,6 @@ impl Sink for Kept {
         };
         let before = self.0.lock().expect("not poisoned").insert(key, outcome);
         assert_eq!(before, None, "a second outcome for {key:?}");
-        Ok(())
-    }
-
-    fn tick(&mut self) -> Result<(), RecordError> {
         Ok(())
     }
 
@@ -142,7 +138,7 @@ impl Desk {
         }
     }
 
-    /// Whether the camera's clock was asked for.
+    /// Whether a reading of the camera's clock was requested.
     fn was_asked(&self) -> bool {
         self.closed.try_iter().any(|event| matches!(event, RecorderEvent::Doubtful { camera: 0 }))
     }
@@ -160,7 +156,8 @@ impl Desk {
     }
 }
 
-/// Frames of two cameras that came before anything was triggered: of one before the recorder knew that, of the other behind.
+/// Frames of two cameras that came before anything was triggered: of one before the recorder knew that, of the other
+/// behind.
 #[test]
 fn what_came_before_the_silence_is_nobodys_and_ids_count_from_behind_it() {
     let mut desk = Desk::new(2);
@@ -181,8 +178,8 @@ fn what_came_before_the_silence_is_nobodys_and_ids_count_from_behind_it() {
     }
 }
 
-/// The process stood still until some 40 ms after trigger 0, and its first report came later: camera 1 has lost a frame of
-/// that time, and one long after it.
+/// The process stood still until some 40 ms after trigger 0, and its first report came later: camera 1 has lost a
+/// frame of that time, and one long after it.
 #[test]
 fn a_pause_before_the_first_report_breaks_whole_sets() {
     let mut desk = Desk::new(2);
@@ -212,7 +209,7 @@ fn a_pause_before_the_first_report_breaks_whole_sets() {
 fn a_camera_whose_place_is_not_known_behind_the_warm_up_is_named_once() {
     let mut desk = Desk::warming_up(2, 8);
     let at = |number: i64| (2_000_000_000 + number * PERIOD_NS as i64) as u64;
-    let told = |desk: &Desk| -> Vec<(usize, Option<String>)> {
+    let reported = |desk: &Desk| -> Vec<(usize, Option<String>)> {
         let place = |event| match event {
             RecorderEvent::Place { camera, unknown } => Some((camera, unknown)),
             _ => None,
@@ -223,16 +220,16 @@ fn a_camera_whose_place_is_not_known_behind_the_warm_up_is_named_once() {
         desk.report_numbered(number, at(number));
         desk.frame(0, 0, (number + 9) as u64, at(number));
         match number {
-            ..=4 => assert_eq!(told(&desk), [], "{number}: it may come late"),
+            ..=4 => assert_eq!(reported(&desk), [], "{number}: it may come late"),
             5 => desk.accounting.awake += Duration::from_millis(450),
             6 => {
-                let places = told(&desk);
+                let places = reported(&desk);
                 assert_eq!(places.len(), 1, "{places:?}");
                 let (camera, why) = &places[0];
                 assert_eq!(*camera, 1);
                 assert!(why.as_ref().is_some_and(|why| why.contains("no frame has come")), "{why:?}");
             }
-            _ => assert_eq!(told(&desk), [], "{number}: once"),
+            _ => assert_eq!(reported(&desk), [], "{number}: once"),
         }
     }
 }
@@ -319,8 +316,8 @@ fn one_camera_gives_up_what_it_cannot_tell() {
     }
 }
 
-/// The link is lost at trigger 40 and back at 60: the report of 60 is there before those that were missed, and the train was
-/// late meanwhile.
+/// The link is lost at trigger 40 and back at 60: the report of 60 is there before those that were missed, and the
+/// train was late meanwhile.
 #[test]
 fn two_cameras_stand_in_for_reports_that_are_still_missing_when_the_link_is_back() {
     let mut desk = Desk::new(2);
@@ -347,8 +344,8 @@ fn two_cameras_stand_in_for_reports_that_are_still_missing_when_the_link_is_back
     }
 }
 
-/// The serial line is slow now in one direction, now in the other, and then silent for five seconds: the HSU's clock is known
-/// less well than what the cameras' timestamps go on to say.
+/// The serial line is slow now in one direction, now in the other, and then silent for five seconds: the HSU's clock
+/// is known less well than the later timestamps of the cameras.
 #[test]
 fn a_link_that_is_silent_for_seconds_costs_no_frame() {
     let mut desk = Desk::new(2);
@@ -382,8 +379,8 @@ fn a_link_that_is_silent_for_seconds_costs_no_frame() {
     }
 }
 
-/// While reports are held up, frames of one trigger arrive nearly a period late: those behind them are in time, though their
-/// triggers are not reported either.
+/// While reports are held up, frames of one trigger arrive nearly a period late: those behind them are in time,
+/// though their triggers are not reported either.
 #[test]
 fn a_frame_that_comes_late_while_reports_are_held_up_costs_nothing() {
     let mut desk = Desk::new(2);
@@ -407,8 +404,8 @@ fn a_frame_that_comes_late_while_reports_are_held_up_costs_nothing() {
     }
 }
 
-/// While reports are held up, two of four cameras ignore a trigger each, and the others lose frames just then: that the two
-/// agree with each other files none of their frames one trigger too early.
+/// While reports are held up, two of four cameras ignore a trigger each, and the others lose frames just then: that
+/// the two agree with each other files none of their frames one trigger too early.
 #[test]
 fn two_cameras_that_ignored_as_many_triggers_are_not_believed() {
     let mut desk = Desk::new(4);
@@ -440,8 +437,8 @@ fn two_cameras_that_ignored_as_many_triggers_are_not_believed() {
     assert!(kept >= 280, "{kept}");
 }
 
-/// A camera without timestamps is placed by the rhythm of its warm-up. The reports of that come late, when frames behind it
-/// are there: these came in fits and starts, which takes nothing from the rhythm before them.
+/// A camera without timestamps is placed by the rhythm of its warm-up. The reports of that come late, when frames
+/// behind it are there: these came in fits and starts, which takes nothing from the rhythm before them.
 #[test]
 fn a_host_that_is_busy_behind_the_warm_up_hides_no_rhythm() {
     let mut desk = Desk::warming_up(1, 8);
@@ -495,8 +492,8 @@ fn one_absurd_timestamp_does_not_hide_what_the_frames_around_it_show() {
     }
 }
 
-/// Both cameras' ids jump by one at trigger 42 while the reports of 40 to 59 are held up: they agree, and are wrong. But no
-/// train fires a trigger before its time.
+/// Both cameras' ids jump by one at trigger 42 while the reports of 40 to 59 are held up: they agree, and are wrong.
+/// But no train fires a trigger before its time.
 #[test]
 fn cameras_that_agree_on_a_trigger_before_its_time_are_not_believed() {
     let mut desk = Desk::new(2);

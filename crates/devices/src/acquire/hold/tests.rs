@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Held frame sets against a model: what is kept, in which order, under which numbers, and how much memory it takes.
 
-use super::{Hold, Passed, TOLD, trigger_of};
+use super::{Hold, PAST_EVENTS, Passed, trigger_of};
 use crate::acquire::writer_queue::{ReadyFrame, ToWriter};
 use crate::base::ids::{BlockId, TriggerIndex};
 use crate::host::frame_memory::Block;
@@ -39,8 +39,8 @@ fn warm_up(number: i64) -> ToWriter {
     ToWriter::Event(WarmUp::Trigger { number, hsu_time_ns: number.unsigned_abs() }.event(None, 0))
 }
 
-/// `FRAME camera trigger block`, and so on: what the recording would be told.
-fn told(item: &ToWriter) -> String {
+/// `FRAME camera trigger block`, and so on: the record as one line.
+fn line(item: &ToWriter) -> String {
     match item {
         ToWriter::Frame(frame) => {
             format!("frame {} {} {}", frame.camera, frame.meta.trigger, frame.meta.block)
@@ -71,8 +71,8 @@ fn frames_in(hold: &Hold) -> usize {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
-    /// What is recorded is what an ordinary session would have recorded from the named trigger on, counted from it, as far
-    /// as it is held; and memory stays within its bound.
+    /// What is recorded is what an ordinary session would have recorded from the named trigger on, counted from it,
+    /// as far as it is held; and memory stays within its bound.
     #[test]
     fn the_recording_begins_where_record_says(
         most in 1_u64..12,
@@ -89,7 +89,7 @@ proptest! {
             match hold.take(item) {
                 Passed::On(item) => {
                     *in_memory -= usize::from(matches!(item, ToWriter::Frame(_)));
-                    passed.push(told(&item));
+                    passed.push(line(&item));
                 }
                 Passed::Held(gone) => *in_memory -= gone,
             }
@@ -115,20 +115,21 @@ proptest! {
             }
             // The writer follows as it can.
             for _ in 0..paced[trigger as usize] {
-                passed.extend(hold.next().as_ref().map(told));
+                passed.extend(hold.next().as_ref().map(line));
             }
         }
-        passed.extend(std::iter::from_fn(|| hold.next()).map(|item| told(&item)));
+        passed.extend(std::iter::from_fn(|| hold.next()).map(|item| line(&item)));
         let held_from = first.max(before.saturating_sub(most));
         let expected = (held_from..before + behind).flat_map(|trigger| of_trigger(trigger, lost[trigger as usize]));
         let expected: Vec<String> =
-            expected.filter_map(|item| super::counted_from(first, item)).map(|item| told(&item)).collect();
-        passed.retain(|told| !told.starts_with("warm_up"));
+            expected.filter_map(|item| super::counted_from(first, item)).map(|item| line(&item)).collect();
+        passed.retain(|line| !line.starts_with("warm_up"));
         prop_assert_eq!(passed, expected);
     }
 }
 
-/// A stream's beginning is found in the recording as in any other: its warm-up has numbers before those of the recording.
+/// A stream's beginning is found in the recording as in any other: its warm-up has numbers before those of the
+/// recording.
 #[test]
 fn the_warm_up_keeps_its_distance_to_the_recording() {
     let mut hold = Hold::new(5);
@@ -139,7 +140,7 @@ fn the_warm_up_keeps_its_distance_to_the_recording() {
         of_trigger(trigger, 0).into_iter().for_each(|item| drop(hold.take(item)));
     }
     hold.keep(97);
-    let rows: Vec<String> = std::iter::from_fn(|| hold.next()).map(|item| told(&item)).collect();
+    let rows: Vec<String> = std::iter::from_fn(|| hold.next()).map(|item| line(&item)).collect();
     let expected: Vec<String> =
         (-4..0).chain(0..64).map(|number: i64| format!("warm_up {}", number - 97)).collect();
     assert_eq!(rows[..68], expected);
@@ -147,7 +148,7 @@ fn the_warm_up_keeps_its_distance_to_the_recording() {
 }
 
 #[test]
-fn what_is_of_no_trigger_is_recorded_at_once_and_what_happened_before_is_told() {
+fn what_is_of_no_trigger_is_recorded_at_once_and_earlier_events_stay() {
     let mut hold = Hold::new(2);
     let sample = ClockSample { camera: None, host_send_ns: 1, host_receive_ns: 2, device_time_ns: 3 };
     assert!(matches!(hold.take(ToWriter::Clock(sample)), Passed::On(_)));
@@ -156,12 +157,15 @@ fn what_is_of_no_trigger_is_recorded_at_once_and_what_happened_before_is_told() 
         drop(hold.take(event("frames_lost", Some(trigger))));
         of_trigger(trigger, 0).into_iter().for_each(|item| drop(hold.take(item)));
     }
-    assert!(hold.told.len() <= TOLD, "bounded");
+    assert!(hold.past.len() <= PAST_EVENTS, "bounded");
     hold.keep(999);
-    let rows: Vec<String> = std::iter::from_fn(|| hold.next()).map(|item| told(&item)).collect();
+    let rows: Vec<String> = std::iter::from_fn(|| hold.next()).map(|item| line(&item)).collect();
     let events: Vec<&String> = rows.iter().filter(|row| row.starts_with("frames_lost")).collect();
-    assert_eq!(events.len(), TOLD + 2, "the last ones of before, and those that are held");
-    assert_eq!((events[0].as_str(), events[TOLD + 1].as_str()), ("frames_lost None", "frames_lost Some(0)"));
+    assert_eq!(events.len(), PAST_EVENTS + 2, "the last ones of before, and those that are held");
+    assert_eq!(
+        (events[0].as_str(), events[PAST_EVENTS + 1].as_str()),
+        ("frames_lost None", "frames_lost Some(0)")
+    );
 }
 
 /// A frame of a set that was passed on without it comes behind others.

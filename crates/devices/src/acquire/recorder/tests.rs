@@ -52,10 +52,6 @@ impl Sink for SlowSink {
         Ok(())
     }
 
-    fn tick(&mut self) -> Result<(), RecordError> {
-        Ok(())
-    }
-
     fn finish(self: Box<Self>, _: SessionEnd) -> Result<Verdict, RecordError> {
         Err(RecordError::Stopped { reason: "a stand-in has no verdict".to_owned() })
     }
@@ -112,7 +108,7 @@ fn run(triggers: u64, stalled: u64, when_full: WhenFull) -> Run {
     let lanes = (0..CAMERAS).map(lane).collect();
     let shared = Arc::clone(&progress);
     let channels = Channels { arrivals, commands, events: events_in };
-    let thread = Recorder::start_with(Box::new(sink), Taps::of_nobody(), lanes, options, shared, channels)
+    let thread = Recorder::start(Box::new(sink), Taps::of_nobody(), lanes, options, shared, channels)
         .expect("threads start");
     let mut token = Some(token);
     for trigger in 0..triggers {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Calls of Aravis whose bindings take what a camera says on trust, each checked.
+//! Calls of Aravis whose bindings trust the camera, with checks.
 //!
-//! The bindings end the process where Aravis gives nothing without an error (an enumeration whose register holds a value
-//! that none of its entries has), and where a text is no UTF-8. They take numbers as written that Aravis may have left
-//! unwritten. What comes from a camera or its description is asked for here: absent is `None`, and a text is made one.
+//! The bindings end the process where Aravis gives a null text without an error (an enumeration whose register
+//! matches none of its entries), and where a text is not UTF-8. They use numbers that Aravis may have left unwritten.
+//! Here a null text is `None`, and texts of any bytes are converted.
 
 use crate::camera::contract::ImageForm;
 use glib::ffi::{GError, GSList};
@@ -12,8 +12,8 @@ use glib::translate::{ToGlibPtr, from_glib_full};
 use std::ffi::{CStr, CString, c_char, c_void};
 use std::ptr::null_mut;
 
-/// Makes a call that may set an error.
-fn asked<T>(call: impl FnOnce(*mut *mut GError) -> T) -> Result<T, glib::Error> {
+/// Makes a call that may set an error, and gives the value or the error.
+fn checked<T>(call: impl FnOnce(*mut *mut GError) -> T) -> Result<T, glib::Error> {
     let mut error = null_mut();
     let value = call(&raw mut error);
     match error.is_null() {
@@ -23,16 +23,16 @@ fn asked<T>(call: impl FnOnce(*mut *mut GError) -> T) -> Result<T, glib::Error> 
     }
 }
 
-/// A name for Aravis. None of ours has a zero in it; one that has ends there, as it would in C.
+/// A name as a C string; it ends at the first zero byte.
 fn named(name: &str) -> CString {
     let name = name.split('\0').next().unwrap_or_default();
     CString::new(name).unwrap_or_default()
 }
 
-/// A copy of Aravis' text, with a mark for each byte that is no UTF-8; `None` for none.
+/// A copy of a C string, with a replacement character for bytes that are not UTF-8; `None` for a null pointer.
 ///
 /// # Safety
-/// The pointer is null, or of a text that ends with a zero and that nobody changes during the call.
+/// The pointer is null, or of a text that ends with a zero and that does not change during the call.
 pub(super) unsafe fn text(pointer: *const c_char) -> Option<String> {
     if pointer.is_null() {
         return None;
@@ -45,7 +45,7 @@ pub(super) unsafe fn text(pointer: *const c_char) -> Option<String> {
 pub(super) fn open(address: &str) -> Result<aravis::Camera, glib::Error> {
     let address = named(address);
     // SAFETY: the text lives during the call, and `error` is null, as GLib asks.
-    let camera = asked(|error| unsafe { aravis_sys::arv_camera_new(address.as_ptr(), error) })?;
+    let camera = checked(|error| unsafe { aravis_sys::arv_camera_new(address.as_ptr(), error) })?;
     if camera.is_null() {
         return Err(glib::Error::new(aravis::DeviceError::NotFound, "Aravis gave no camera"));
     }
@@ -53,7 +53,7 @@ pub(super) fn open(address: &str) -> Result<aravis::Camera, glib::Error> {
     Ok(unsafe { from_glib_full(camera) })
 }
 
-/// Vendor, model and serial number, as far as it says them.
+/// Vendor, model and serial number; empty where the camera does not report them.
 pub(super) fn identity(camera: &aravis::Camera) -> [String; 3] {
     type Ask = unsafe extern "C" fn(*mut aravis_sys::ArvCamera, *mut *mut GError) -> *const c_char;
     let asks: [Ask; 3] = [
@@ -63,16 +63,16 @@ pub(super) fn identity(camera: &aravis::Camera) -> [String; 3] {
     ];
     asks.map(|ask| {
         // SAFETY: the camera lives during the call; the text belongs to it, and is copied at once.
-        let told = asked(|error| unsafe { text(ask(camera.to_glib_none().0, error)) });
-        told.ok().flatten().unwrap_or_default()
+        let found = checked(|error| unsafe { text(ask(camera.to_glib_none().0, error)) });
+        found.ok().flatten().unwrap_or_default()
     })
 }
 
-/// A text, or the entry that an enumeration stands at; `None` where its register holds the value of no entry.
+/// A text, or the current entry of an enumeration; `None` where its register matches no entry.
 pub(super) fn string(device: &aravis::Device, feature: &str) -> Result<Option<String>, glib::Error> {
     let feature = named(feature);
     // SAFETY: device and name live during the call; the text belongs to the device, and is copied at once.
-    asked(|error| unsafe {
+    checked(|error| unsafe {
         text(aravis_sys::arv_device_get_string_feature_value(
             device.to_glib_none().0,
             feature.as_ptr(),
@@ -81,11 +81,11 @@ pub(super) fn string(device: &aravis::Device, feature: &str) -> Result<Option<St
     })
 }
 
-/// Asks for the least and the largest value of a number.
+/// A function of Aravis that gives the least and the largest value of a number.
 type AskBounds<T> =
     unsafe extern "C" fn(*mut aravis_sys::ArvDevice, *const c_char, *mut T, *mut T, *mut *mut GError);
 
-/// The least and the largest value; those given where Aravis leaves them unwritten.
+/// The least and the largest value of a number; the given ones where Aravis leaves them unwritten.
 fn bounds<T: Copy>(
     device: &aravis::Device,
     feature: &str,
@@ -94,7 +94,7 @@ fn bounds<T: Copy>(
 ) -> Result<(T, T), glib::Error> {
     let feature = named(feature);
     // SAFETY: device, name and both places live during the call.
-    asked(|error| unsafe {
+    checked(|error| unsafe {
         ask(device.to_glib_none().0, feature.as_ptr(), &raw mut min, &raw mut max, error)
     })?;
     Ok((min, max))
@@ -111,12 +111,12 @@ pub(super) fn float_bounds(device: &aravis::Device, feature: &str) -> Result<(f6
     bounds(device, feature, (f64::MIN, f64::MAX), aravis_sys::arv_device_get_float_feature_bounds)
 }
 
-/// Reads a bootstrap register.
+/// Reads a bootstrap register of 32 bits.
 pub(super) fn register(device: &impl IsA<aravis::Device>, address: u64) -> Result<u32, glib::Error> {
     let device = device.upcast_ref::<aravis::Device>();
     let mut value = 0;
     // SAFETY: the device and the place live during the call.
-    let done = asked(|error| unsafe {
+    let done = checked(|error| unsafe {
         aravis_sys::arv_device_read_register(device.to_glib_none().0, address, &raw mut value, error)
     })?;
     match done {
@@ -125,12 +125,12 @@ pub(super) fn register(device: &impl IsA<aravis::Device>, address: u64) -> Resul
     }
 }
 
-/// The entries of an enumeration that can be chosen now.
+/// The entries of an enumeration that can be selected now.
 pub(super) fn entries_now(device: &aravis::Device, feature: &str) -> Result<Vec<String>, glib::Error> {
     let feature = named(feature);
     let mut count = 0;
     // SAFETY: device, name and place live during the call.
-    let list = asked(|error| unsafe {
+    let list = checked(|error| unsafe {
         aravis_sys::arv_device_dup_available_enumeration_feature_values_as_strings(
             device.to_glib_none().0,
             feature.as_ptr(),
@@ -142,27 +142,27 @@ pub(super) fn entries_now(device: &aravis::Device, feature: &str) -> Result<Vec<
         return Ok(Vec::new());
     }
     let count = usize::try_from(count).unwrap_or(0);
-    // SAFETY: Aravis has made a list of so many texts, which belong to the description.
+    // SAFETY: Aravis has made a list of `count` texts, which belong to the description.
     let names = (0..count).filter_map(|place| unsafe { text(*list.add(place)) }).collect();
     // SAFETY: the list is ours, not its texts, and it is freed once.
     unsafe { glib::ffi::g_free(list.cast::<c_void>()) };
     Ok(names)
 }
 
-/// What a node of the description is called.
+/// The name of a node of the description.
 pub(super) fn name_of(node: &impl IsA<aravis::GcFeatureNode>) -> Option<String> {
     let node = node.upcast_ref::<aravis::GcFeatureNode>();
     // SAFETY: the node lives during the call; the text belongs to it, and is copied at once.
     unsafe { text(aravis_sys::arv_gc_feature_node_get_name(node.to_glib_none().0)) }
 }
 
-/// What kind of element of the description a node is.
+/// The XML element name of a node of the description.
 pub(super) fn tag_of(node: &aravis::DomNode) -> Option<String> {
     // SAFETY: the node lives during the call; the text belongs to its class, and is copied at once.
     unsafe { text(aravis_sys::arv_dom_node_get_node_name(node.to_glib_none().0)) }
 }
 
-/// In what a number counts.
+/// The unit of a number, as the description spells it.
 pub(super) fn unit_of(node: &aravis::GcFeatureNode) -> Option<String> {
     if let Some(float) = node.dynamic_cast_ref::<aravis::GcFloat>() {
         // SAFETY: the node lives during the call; the text belongs to it, and is copied at once.
@@ -173,14 +173,14 @@ pub(super) fn unit_of(node: &aravis::GcFeatureNode) -> Option<String> {
     unsafe { text(aravis_sys::arv_gc_integer_get_unit(whole.to_glib_none().0)) }
 }
 
-/// The features that a category of the description names, and that are there.
+/// The names of the features in a category of the description.
 pub(super) fn features_of(category: &aravis::GcCategory) -> Vec<String> {
     let mut names = Vec::new();
     // SAFETY: the category lives during the call; the list belongs to it.
     let mut item: *const GSList =
         unsafe { aravis_sys::arv_gc_category_get_features(category.to_glib_none().0) };
     while !item.is_null() {
-        // SAFETY: an item of the list, which nobody changes before the category is asked again.
+        // SAFETY: an item of the list, which does not change until the features are requested again.
         let (data, next) = unsafe { ((*item).data, (*item).next) };
         // SAFETY: the list holds texts.
         names.extend(unsafe { text(data.cast::<c_char>()) });
@@ -189,7 +189,7 @@ pub(super) fn features_of(category: &aravis::GcCategory) -> Vec<String> {
     names
 }
 
-/// What the leader says of the image of a buffer that has one part: zeros where the buffer holds none.
+/// The image of a buffer with one part, as its leader describes it; zeros where the buffer holds no image.
 pub(super) fn image_of(buffer: &aravis::Buffer) -> ImageForm {
     let (mut region, mut padding) = ([0; 4], (0, 0));
     let [x, y, width, height] = &mut region;
@@ -204,7 +204,7 @@ pub(super) fn image_of(buffer: &aravis::Buffer) -> ImageForm {
     ImageForm { pixel_format, size: (width, height), offset: (x, y), padding }
 }
 
-/// Bytes that arrived in a buffer, each at its place.
+/// Number of bytes that arrived in a buffer, each at its place.
 pub(super) fn bytes_of(buffer: &aravis::Buffer) -> usize {
     let mut bytes = 0;
     // SAFETY: buffer and place live during the call, and nothing is done with the memory.

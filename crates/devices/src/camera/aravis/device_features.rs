@@ -1,38 +1,39 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Features and registers of a camera that Aravis has opened.
 
-use super::{AravisCamera, checked, holder, said};
-use crate::camera::CameraError;
+use super::registers::holder;
+use super::{AravisCamera, checked, message_of};
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
+use crate::camera::error::CameraError;
 use crate::camera::features::{Failed, Features};
 use crate::config::FeatureValue;
 use aravis::prelude::*;
-use glib::prelude::{Cast, IsA, ObjectExt};
+use glib::prelude::{Cast, ObjectExt};
 use std::collections::BTreeSet;
 
-/// No camera has more features.
+/// Most features that are listed; no camera has as many.
 const FEATURES_MAX: usize = 5000;
-/// Limits beyond this are none.
+/// Limits of floats beyond this mean that there is none.
 const UNBOUNDED: f64 = 1e300;
-/// Aravis gives the least number where there is no step.
+/// Steps below this mean that there is none: Aravis then gives the least positive number.
 const NO_STEP: f64 = 1e-12;
 
-/// Whether the camera did not answer at all, as opposed to refusing.
+/// Whether the camera did not answer, as opposed to a refusal.
 pub(super) fn is_silence(error: &glib::Error) -> bool {
     use aravis::DeviceError::{NotConnected, Timeout, TransferError};
     [Timeout, NotConnected, TransferError].iter().any(|kind| error.matches(*kind))
 }
 
-/// Whether the camera refused because we are not its controller, or because the feature is locked.
+/// Whether the camera refused because another program controls it, or because the feature is locked.
 fn is_refusal(error: &glib::Error) -> bool {
     use aravis::DeviceError::{NotController, ProtocolErrorAccessDenied};
     [NotController, ProtocolErrorAccessDenied].iter().any(|kind| error.matches(*kind))
 }
 
 impl AravisCamera {
-    /// What it means that something could not be read.
+    /// The meaning of an error while reading.
     fn failed(&self, error: &glib::Error) -> Failed {
-        let detail = said(error);
+        let detail = message_of(error);
         if is_silence(error) {
             Failed::Lost(CameraError::Link { doing: "reading its features", detail })
         } else if is_refusal(error) {
@@ -42,20 +43,20 @@ impl AravisCamera {
         }
     }
 
-    /// What it means that something could not be set: a feature may be locked, which is no loss of control.
+    /// The meaning of an error while writing: a denied access may be a locked feature, which is no loss of control.
     pub(super) fn not_set(&self, error: &glib::Error) -> Failed {
-        let detail = said(error);
+        let detail = message_of(error);
         if is_silence(error) {
             return Failed::Lost(CameraError::Link { doing: "setting its features", detail });
         }
-        // One that was restarted has no controller, and the next heartbeat has not told us yet.
+        // A camera that was restarted has no controller, and the next heartbeat will notice it.
         if is_refusal(error) && self.privilege() == Some(0) {
             return Failed::Lost(CameraError::NotOurs { holder: None, detail });
         }
         Failed::Refused(detail)
     }
 
-    /// The text of a feature. Inner error: what an enumeration's register holds that none of its entries has.
+    /// The text of a feature. Inner error: the value of an enumeration's register that matches none of its entries.
     fn entry(&self, feature: &str) -> Result<Result<String, String>, Failed> {
         let text = checked::string(&self.device, feature).map_err(|error| self.failed(&error))?;
         let Some(text) = text else {
@@ -67,30 +68,45 @@ impl AravisCamera {
         Ok(Ok(text))
     }
 
+    /// Collects the names of the features below a category, each once.
+    fn walk(&self, category: &str, seen: &mut BTreeSet<String>, names: &mut Vec<String>) {
+        let node = |name: &str| self.device.feature(name)?.downcast::<aravis::GcCategory>().ok();
+        let Some(category) = node(category) else { return };
+        for name in checked::features_of(&category) {
+            if names.len() >= FEATURES_MAX || !seen.insert(name.clone()) {
+                continue;
+            }
+            match node(&name) {
+                Some(_) => self.walk(&name, seen, names),
+                None => names.push(name),
+            }
+        }
+    }
+
     fn node(&self, feature: &str) -> Option<aravis::GcFeatureNode> {
         self.device.feature(feature)?.downcast().ok()
+    }
+
+    fn kind(&self, feature: &str) -> Result<Kind, Failed> {
+        let node = self.node(feature).ok_or_else(|| Failed::Refused("it has no such feature".to_owned()))?;
+        Ok(kind_of(&node))
     }
 }
 
 fn kind_of(node: &aravis::GcFeatureNode) -> Kind {
-    if node.is::<aravis::GcEnumeration>() {
-        Kind::Enumeration
-    } else if node.is::<aravis::GcBoolean>() {
-        Kind::Boolean
-    } else if node.is::<aravis::GcCommand>() {
-        Kind::Command
-    } else if node.is::<aravis::GcFloat>() {
-        Kind::Float
-    } else if node.is::<aravis::GcInteger>() {
-        Kind::Integer
-    } else if node.is::<aravis::GcString>() {
-        Kind::Text
-    } else {
-        Kind::Other
-    }
+    // An enumeration and a boolean are integers, too, so the order counts.
+    let kinds = [
+        (node.is::<aravis::GcEnumeration>(), Kind::Enumeration),
+        (node.is::<aravis::GcBoolean>(), Kind::Boolean),
+        (node.is::<aravis::GcCommand>(), Kind::Command),
+        (node.is::<aravis::GcFloat>(), Kind::Float),
+        (node.is::<aravis::GcInteger>(), Kind::Integer),
+        (node.is::<aravis::GcString>(), Kind::Text),
+    ];
+    kinds.into_iter().find(|(is_it, _)| *is_it).map_or(Kind::Other, |(_, kind)| kind)
 }
 
-/// The entries that the camera has at all; which of them it has now is another question.
+/// The entries that the camera implements, whether they can be selected now or not.
 fn entries_of(node: &aravis::GcFeatureNode) -> Vec<String> {
     let Some(node) = node.downcast_ref::<aravis::GcEnumeration>() else { return Vec::new() };
     let there = node.entries().into_iter().filter(|entry| entry.is_implemented().unwrap_or(true));
@@ -99,27 +115,8 @@ fn entries_of(node: &aravis::GcFeatureNode) -> Vec<String> {
 
 impl Description for AravisCamera {
     fn names(&self) -> Vec<String> {
-        fn walk<T: IsA<aravis::Device>>(
-            device: &T,
-            category: &str,
-            seen: &mut BTreeSet<String>,
-            names: &mut Vec<String>,
-        ) {
-            let Some(node) = device.feature(category) else { return };
-            let Ok(node) = node.downcast::<aravis::GcCategory>() else { return };
-            for name in checked::features_of(&node) {
-                if names.len() >= FEATURES_MAX || !seen.insert(name.clone()) {
-                    continue;
-                }
-                let is_category = device.feature(&name).is_some_and(|node| node.is::<aravis::GcCategory>());
-                match is_category {
-                    true => walk(device, &name, seen, names),
-                    false => names.push(name),
-                }
-            }
-        }
         let mut names = Vec::new();
-        walk(&self.device, "Root", &mut BTreeSet::new(), &mut names);
+        self.walk("Root", &mut BTreeSet::new(), &mut names);
         names
     }
 
@@ -136,8 +133,6 @@ impl Description for AravisCamera {
                 _ => Access::ReadWrite,
             },
             unit: checked::unit_of(&node).filter(|unit| !unit.is_empty()),
-            // They depend on how the camera is set: asked when something is written.
-            bounds: Bounds::default(),
             entries: entries_of(&node),
         })
     }
@@ -145,7 +140,7 @@ impl Description for AravisCamera {
 
 impl Features for AravisCamera {
     fn has(&self, feature: &str) -> bool {
-        // A description is often that of a whole family.
+        // A description may be that of a whole family of models.
         self.node(feature).is_some_and(|node| node.is_implemented().unwrap_or(true))
     }
 
@@ -155,16 +150,13 @@ impl Features for AravisCamera {
     }
 
     fn read(&self, feature: &str) -> Result<FeatureValue, Failed> {
-        let node = self.node(feature).ok_or_else(|| Failed::Refused("it has no such feature".to_owned()))?;
         let device = &self.device;
-        let value = match kind_of(&node) {
+        let value = match self.kind(feature)? {
             Kind::Boolean => device.boolean_feature_value(feature).map(FeatureValue::Flag),
             Kind::Integer => device.integer_feature_value(feature).map(FeatureValue::Integer),
             Kind::Float => device.float_feature_value(feature).map(FeatureValue::Float),
             Kind::Enumeration => {
-                return self
-                    .entry(feature)
-                    .map(|entry| FeatureValue::Text(entry.unwrap_or_else(|none| none)));
+                return Ok(FeatureValue::Text(self.entry(feature)?.unwrap_or_else(|none| none)));
             }
             Kind::Text => {
                 checked::string(device, feature).map(|text| FeatureValue::Text(text.unwrap_or_default()))
@@ -175,58 +167,43 @@ impl Features for AravisCamera {
     }
 
     fn write(&self, feature: &str, value: &FeatureValue) -> Result<(), Failed> {
-        let node = self.node(feature).ok_or_else(|| Failed::Refused("it has no such feature".to_owned()))?;
-        let (device, kind) = (&self.device, kind_of(&node));
-        let wrong = || Err(Failed::Refused(format!("{value} is no value of its kind")));
-        let set = match (value, kind) {
+        use FeatureValue::{Flag, Float, Integer, Text};
+        let device = &self.device;
+        let set = match (value, self.kind(feature)?) {
             (_, Kind::Command) => device.execute_command(feature),
-            (FeatureValue::Flag(value), Kind::Boolean) => device.set_boolean_feature_value(feature, *value),
-            (FeatureValue::Flag(value), Kind::Integer) => {
-                device.set_integer_feature_value(feature, i64::from(*value))
-            }
-            (FeatureValue::Integer(value), Kind::Float) => {
-                device.set_float_feature_value(feature, *value as f64)
-            }
-            (FeatureValue::Integer(value), Kind::Integer | Kind::Enumeration) => {
+            (Flag(value), Kind::Boolean) => device.set_boolean_feature_value(feature, *value),
+            (Flag(value), Kind::Integer) => device.set_integer_feature_value(feature, i64::from(*value)),
+            (Integer(value), Kind::Float) => device.set_float_feature_value(feature, *value as f64),
+            (Integer(value), Kind::Integer | Kind::Enumeration) => {
                 device.set_integer_feature_value(feature, *value)
             }
-            (FeatureValue::Float(value), Kind::Float) => device.set_float_feature_value(feature, *value),
-            (FeatureValue::Float(value), Kind::Integer) if value.fract() == 0.0 => {
+            (Float(value), Kind::Float) => device.set_float_feature_value(feature, *value),
+            (Float(value), Kind::Integer) if value.fract() == 0.0 => {
                 device.set_integer_feature_value(feature, *value as i64)
             }
-            (FeatureValue::Text(value), Kind::Enumeration | Kind::Text) => {
-                device.set_string_feature_value(feature, value)
-            }
-            _ => return wrong(),
+            (Text(value), Kind::Enumeration | Kind::Text) => device.set_string_feature_value(feature, value),
+            _ => return Err(Failed::Refused(format!("{value} is no value of its kind"))),
         };
         set.map_err(|error| self.not_set(&error))
     }
 
     fn bounds_now(&self, feature: &str) -> Bounds {
-        let Some(node) = self.node(feature) else { return Bounds::default() };
-        match kind_of(&node) {
-            Kind::Float => {
-                let limits = checked::float_bounds(&self.device, feature).ok();
+        let device = &self.device;
+        let (limits, step) = match self.kind(feature) {
+            Ok(Kind::Float) => {
                 let finite = |limit: f64| (limit.abs() < UNBOUNDED).then_some(limit);
-                let step = self.device.float_feature_increment(feature).ok().filter(|step| *step > NO_STEP);
-                Bounds {
-                    min: limits.and_then(|(min, _)| finite(min)),
-                    max: limits.and_then(|(_, max)| finite(max)),
-                    step,
-                }
+                let step = device.float_feature_increment(feature).ok().filter(|step| *step > NO_STEP);
+                (checked::float_bounds(device, feature).map(|(min, max)| (finite(min), finite(max))), step)
             }
-            Kind::Integer => {
-                let limits = checked::integer_bounds(&self.device, feature).ok();
+            Ok(Kind::Integer) => {
                 let stated = |limit: i64| (limit != i64::MIN && limit != i64::MAX).then_some(limit as f64);
-                let step = self.device.integer_feature_increment(feature).ok().map(|step| step as f64);
-                Bounds {
-                    min: limits.and_then(|(min, _)| stated(min)),
-                    max: limits.and_then(|(_, max)| stated(max)),
-                    step,
-                }
+                let step = device.integer_feature_increment(feature).ok().map(|step| step as f64);
+                (checked::integer_bounds(device, feature).map(|(min, max)| (stated(min), stated(max))), step)
             }
-            _ => Bounds::default(),
-        }
+            _ => return Bounds::default(),
+        };
+        let (min, max) = limits.unwrap_or_default();
+        Bounds { min, max, step }
     }
 
     fn integer(&self, feature: &str) -> Result<i64, Failed> {
@@ -235,10 +212,6 @@ impl Features for AravisCamera {
 
     fn text(&self, feature: &str) -> Result<String, Failed> {
         self.entry(feature)?.map_err(Failed::Nonsense)
-    }
-
-    fn set_text(&self, feature: &str, value: &str) -> Result<(), Failed> {
-        self.device.set_string_feature_value(feature, value).map_err(|e| self.not_set(&e))
     }
 
     fn execute(&self, feature: &str) -> Result<(), Failed> {
@@ -261,16 +234,16 @@ impl Features for AravisCamera {
             }
             child = property.next_sibling();
         }
-        // Some that are said to be write-only can be read all the same.
+        // Some registers can be read although the description calls them write-only.
         let value = register?.dynamic_cast_ref::<aravis::GcInteger>()?.value().ok()?;
         Some(value != started?)
     }
 
     fn entries(&self, feature: &str) -> Vec<String> {
-        match self.has(feature) {
-            true => checked::entries_now(&self.device, feature).unwrap_or_default(),
-            false => Vec::new(),
+        if !self.has(feature) {
+            return Vec::new();
         }
+        checked::entries_now(&self.device, feature).unwrap_or_default()
     }
 
     fn has_registers(&self) -> bool {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Aravis' own fake camera through this backend. It is no GigE Vision camera, as USB3 Vision cameras are none: no packets,
-//! no registers that say who controls it. What else differs there has been tried with no camera.
+//! Aravis' own fake camera through this backend. It is no GigE Vision camera, as USB3 Vision cameras are none: no
+//! packets, no registers with its controller. Other differences of USB3 cameras have not been tested.
 
 use super::AravisCameras;
 use crate::camera::profile::tests::wishes;
@@ -24,7 +24,7 @@ fn fake() -> Option<Box<dyn Camera>> {
     }
 }
 
-/// It runs by itself.
+/// Requirements for a free-running camera of this pixel format.
 fn free_running(pixel: Pixel) -> Wishes {
     // Its values are scaled by the exposure, by one at 10 ms.
     let mut wishes = Wishes { size: SIZE, triggered: false, exposure_us: 10_000.0, ..wishes() };
@@ -85,7 +85,7 @@ fn its_frames_arrive_and_16_bits_become_8() {
             frames += 1;
         }
         assert!(
-            stream.heard() >= 5 && stream.counters().iter().any(|(name, _)| name == "n_completed_buffers")
+            stream.activity() >= 5 && stream.counters().iter().any(|(name, _)| name == "n_completed_buffers")
         );
         assert!(stream.counters().iter().all(|(name, _)| !name.contains("packets")), "it has none");
         camera.stop().expect("stopped");

@@ -1,42 +1,35 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Pixel form and size of the images.
 
-use super::{Amount, Plan, Trouble, Wishes, Write, check_bounds, first_writable, is_fixed};
-use crate::camera::description::{Description, Feature};
+use super::plan::{Amount, Plan, Trouble, Wishes, Write, first_writable, writable_number};
+use crate::camera::description::Description;
 use crate::config::{FeatureValue, Mosaic, Pixel};
 
 /// Names under which an image of 8-bit grey is known.
 const MONO8: [&str; 8] = ["Mono8", "Mono8bit", "Monochrome8", "Grey8", "Gray8", "Y8", "MonoPacked8", "Luma8"];
 
+/// Adds pixel format and size of the images.
 pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     if !wishes.left_to_settings("pixel") {
-        match pixel_format(camera, wishes) {
-            Ok((format, writes)) => {
-                plan.pixel_format = Some(format);
-                plan.writes.extend(writes);
-            }
-            Err(trouble) => plan.troubles.push(trouble),
-        }
+        let found = pixel_format(camera, wishes);
+        plan.pixel_format = found.as_ref().ok().map(|(format, _)| format.clone());
+        plan.add(found.map(|(_, writes)| writes));
     }
-    // The place on the sensor comes first: it bounds the size.
+    // The place on the sensor comes first, because it bounds the size.
     for offset in ["OffsetX", "OffsetY"] {
-        if camera.feature(offset).is_some_and(|feature| feature.is_writable() && feature.is_number()) {
+        if writable_number(camera, offset).is_some() {
             plan.writes.push(Write::new(offset, Amount::Value(FeatureValue::Integer(0)), "").optional());
         }
     }
     let step = wishes.words.pixel.map_or(1, Pixel::step);
-    let (width, height) = (wishes.size.0 * step, wishes.size.1 * step);
-    for (name, word, size) in [("Width", "width", width), ("Height", "height", height)] {
+    for (name, word, size) in [("Width", "width", wishes.size.0), ("Height", "height", wishes.size.1)] {
         if !wishes.left_to_settings(word) {
-            match length(camera, name, word, size) {
-                Ok(write) => plan.writes.extend(write),
-                Err(trouble) => plan.troubles.push(trouble),
-            }
+            plan.add(length(camera, name, word, size * step));
         }
     }
 }
 
-/// The format that is asked for; else 8-bit grey, or what a camera without that has, packed before unpacked.
+/// The requested format; else 8-bit grey; else the first deeper grey that the camera has, packed before unpacked.
 fn pixel_format(camera: &dyn Description, wishes: &Wishes) -> Result<((String, Pixel), Vec<Write>), Trouble> {
     const NAME: &str = "PixelFormat";
     let Some(feature) = camera.feature(NAME) else {
@@ -46,23 +39,20 @@ fn pixel_format(camera: &dyn Description, wishes: &Wishes) -> Result<((String, P
     };
     let entry = |pixel: Pixel| match pixel {
         Pixel::Mono8 => feature.entry(&MONO8),
-        // Whichever its filters are.
+        // Any order of the colour filters will do.
         Pixel::Bayer8(_) => feature.entry(&Mosaic::ALL.map(|mosaic| Pixel::Bayer8(mosaic).name())),
         deeper => feature.entry(&[deeper.name()]),
     };
     let fits = |pixel: &Pixel| wishes.size.0.is_multiple_of(pixel.columns_step());
-    let chosen = match wishes.words.pixel {
-        Some(pixel) => pixel,
-        None => {
-            Pixel::GREY.into_iter().find(|pixel| fits(pixel) && entry(*pixel).is_some()).unwrap_or_default()
-        }
-    };
+    let first = || Pixel::GREY.into_iter().find(|pixel| fits(pixel) && entry(*pixel).is_some());
+    let chosen = wishes.words.pixel.or_else(first).unwrap_or_default();
     let has_mosaic = entry(Pixel::Bayer8(Mosaic::default())).is_some();
     let Some(entry) = entry(chosen).map(str::to_owned) else {
         let remedy = match wishes.words.pixel {
-            Some(_) => "name one that it has (pixel), or none",
+            Some(_) => "set pixel to one that it has, or leave it out",
             None if has_mosaic => {
-                "a session records grey alone: say pixel = \"bayer8\" to take the plane of the head's colour, at half the size"
+                "a session records grey alone: set pixel = \"bayer8\" to take the plane of the head's colour, at half \
+                 the size"
             }
             None => "a session records grey alone: use a camera that sends it",
         };
@@ -71,7 +61,7 @@ fn pixel_format(camera: &dyn Description, wishes: &Wishes) -> Result<((String, P
     if !fits(&chosen) {
         return Err(Trouble::new(NAME, uneven_rows(chosen, wishes.size.0)));
     }
-    if !is_fixed(&feature) {
+    if feature.is_writable() {
         let writes = vec![Write::entry(NAME, &entry, "pixel")];
         return Ok(((entry, chosen), writes));
     }
@@ -92,7 +82,7 @@ fn pixel_format(camera: &dyn Description, wishes: &Wishes) -> Result<((String, P
 /// Rows of packed pixels that end within a byte are filled up by some cameras, and by others not.
 pub fn uneven_rows(pixel: Pixel, width: usize) -> String {
     format!(
-        "PixelFormat {} needs rows of a multiple of {} columns, and the rig has {width}: name another format (pixel)",
+        "PixelFormat {} needs rows of a multiple of {} columns, and the rig has {width}: set pixel to another format",
         pixel.name(),
         pixel.columns_step()
     )
@@ -107,30 +97,9 @@ fn length(
     let Some(feature) = camera.feature(name) else {
         return Err(Trouble::new(name, format!("the camera has no {name}: expected one of {size}")));
     };
-    // One that cannot be set is read when all is done.
-    if is_fixed(&feature) {
+    // A size that cannot be set is checked when all is set.
+    if !feature.is_writable() {
         return Ok(None);
     }
-    check_bounds(name, &feature, size as f64, "").map_err(|trouble| Trouble {
-        message: format!("{}: the rig file has this size for it", trouble.message),
-        ..trouble
-    })?;
-    check_step(name, &feature, size)?;
     Ok(Some(Write::new(name, Amount::Value(FeatureValue::Integer(size as i64)), word)))
-}
-
-fn check_step(name: &str, feature: &Feature, size: usize) -> Result<(), Trouble> {
-    let (Some(step), Some(min)) = (feature.bounds.step, feature.bounds.min) else { return Ok(()) };
-    let over = (size as f64 - min) % step;
-    if step <= 1.0 || over == 0.0 {
-        return Ok(());
-    }
-    let below = size as f64 - over;
-    Err(Trouble::new(
-        name,
-        format!(
-            "{name} goes in steps of {step} from {min}, and {size} is none of them: have the rig file say {below} or {}",
-            below + step
-        ),
-    ))
 }

@@ -1,36 +1,37 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What must be so on every camera, whatever the last user left: automatic functions, corrections and tricks off.
+//! Requirements on every camera, independent of the last user: automatic functions, corrections and image processing
+//! off.
 
+use super::plan::{Trouble, Wishes};
 use super::trigger::is_delay;
-use super::{Trouble, Wishes};
 use crate::camera::description::{Description, Feature, Kind, plain};
 use crate::config::FeatureValue;
 
-/// What a feature must be.
+/// The value that a feature must have.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Want {
-    /// This value.
+    /// Exactly this value, without a tolerance.
     Value(FeatureValue),
-    /// The least that it takes.
+    /// The least value that the camera takes.
     Least,
 }
 
-/// One thing that must be so.
+/// One requirement on a camera's feature.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Must {
-    /// The feature.
+    /// Name of the feature as the camera spells it.
     pub feature: String,
-    /// What it must be.
+    /// The value that it must have.
     pub want: Want,
-    /// Behind every entry of this selector.
+    /// The selector behind each of whose entries the requirement holds.
     pub selector: Option<&'static str>,
-    /// It does not matter while this feature is off.
+    /// The switch that makes the feature irrelevant while it is off.
     pub unless_off: Option<&'static str>,
-    /// Where it stays otherwise, the camera is refused; else it is told.
+    /// Whether a camera that differs is refused; otherwise the difference is reported as a remark.
     pub strict: bool,
 }
 
-/// A feature that is one or the other, without the vendor's letters.
+/// Switches that must be off, in small letters without the vendor's prefix; whether the camera is refused otherwise.
 const SWITCHED_OFF: [(&str, bool); 30] = [
     ("gammaenable", true),
     ("gammaenabled", true),
@@ -45,7 +46,7 @@ const SWITCHED_OFF: [(&str, bool); 30] = [
     ("sequenceenable", true),
     ("seqenable", true),
     ("sequencerconfigurationmode", true),
-    // Where it stays on, the image is taken, and what follows it is left.
+    // Where chunks stay on, the image is used and the chunks behind it are left out.
     ("chunkmodeactive", false),
     ("acquisitionframerateenable", true),
     ("acquisitionframerateenabled", true),
@@ -59,14 +60,14 @@ const SWITCHED_OFF: [(&str, bool); 30] = [
     ("sharpnessenabled", false),
     ("sharpeningenable", false),
     ("denoisingenable", false),
-    // What is left of it is asked for where it matters.
+    // The byte order of deeper pixels is verified later, where it matters.
     ("gevscpsbigendian", false),
     ("pixelbigendian", false),
     ("ptpenable", false),
     ("gevieee1588", false),
 ];
 
-/// Automatic functions that change what a photograph shows.
+/// Automatic functions that change the image, so that a camera with one of them on is refused.
 const STRICT_AUTO: [&str; 11] = [
     "exposureauto",
     "gainauto",
@@ -81,16 +82,35 @@ const STRICT_AUTO: [&str; 11] = [
     "irisauto",
 ];
 
-/// Letters that vendors put before names of their own.
+/// Enumerations with one right entry: names, the entry's spellings, and whether the camera is refused without it.
+const CHOSEN: [(&[&str], &[&str], bool); 4] = [
+    (&["shuttermode", "sensorshuttermode"], &["Global", "GlobalShutter"], true),
+    (&["devicestreamchannelendianness"], &["Little"], false),
+    (&["lutmode"], &["Off", "Linear"], true),
+    (&["transfercontrolmode"], &["Basic", "Automatic"], false),
+];
+
+/// Features that make one pixel of several, or leave pixels out.
+const BINNING: [&str; 7] = [
+    "binninghorizontal",
+    "binningvertical",
+    "binningmode",
+    "decimationhorizontal",
+    "decimationvertical",
+    "subsamplinghorizontal",
+    "subsamplingvertical",
+];
+
+/// Prefixes that vendors put before names of their own.
 const VENDORS: [&str; 7] = ["bsl", "bo", "pgr", "tz", "exp", "dev", "mv"];
 
-/// Everything that must be so, in the order in which it is set: what unlocks others first.
+/// All requirements, in the order in which they are set: features that lock others first.
 pub fn all(camera: &dyn Description, wishes: &Wishes) -> (Vec<Must>, Vec<Trouble>) {
     let (mut musts, mut troubles) = (Vec::new(), Vec::new());
     let mut names = camera.names();
     names.sort();
     for name in names {
-        // What a raw setting names is as that says.
+        // A raw setting takes precedence.
         if wishes.raw.iter().any(|setting| setting.feature == name) {
             continue;
         }
@@ -113,7 +133,7 @@ fn must(name: &str, want: Want, strict: bool) -> Must {
     Must { feature: name.to_owned(), want, selector: selector_of(name), unless_off: None, strict }
 }
 
-/// The selector behind which there may be several of a feature.
+/// The selector behind which a camera may have several of a feature.
 fn selector_of(name: &str) -> Option<&'static str> {
     match name {
         "LUTEnable" | "LUTMode" => Some("LUTSelector"),
@@ -130,38 +150,34 @@ fn text(entry: &str) -> Want {
     Want::Value(FeatureValue::Text(entry.to_owned()))
 }
 
-/// Off, as this feature says it; `None` where it cannot be off.
+/// The value that means off for this feature; `None` where it cannot be off.
 fn off(feature: &Feature) -> Option<Want> {
     match feature.kind {
         Kind::Boolean => Some(Want::Value(FeatureValue::Flag(false))),
         Kind::Enumeration => {
             feature.entry(&["Off", "Disabled", "Disable", "False", "None", "Manual"]).map(text)
         }
-        // A switch that is a number, as before SFNC.
-        Kind::Integer if feature.bounds.max == Some(1.0) => Some(Want::Value(FeatureValue::Integer(0))),
         _ => None,
     }
 }
 
-/// One to one, as this feature says it.
+/// The value that means one to one for this feature.
 fn one(feature: &Feature) -> Option<Want> {
+    let is_one = |entry: &&String| {
+        let mut digits = entry.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty());
+        digits.next() == Some("1") && digits.all(|digits| digits == "1")
+    };
     match feature.kind {
         Kind::Integer => Some(Want::Value(FeatureValue::Integer(1))),
-        Kind::Enumeration => {
-            let is_one = |entry: &&String| {
-                let digits: Vec<&str> =
-                    entry.split(|c: char| !c.is_ascii_digit()).filter(|digits| !digits.is_empty()).collect();
-                !digits.is_empty() && digits.iter().all(|digits| *digits == "1")
-            };
-            feature
-                .entry(&["Off"])
-                .or_else(|| feature.entries.iter().find(is_one).map(String::as_str))
-                .map(text)
-        }
+        Kind::Enumeration => feature
+            .entry(&["Off"])
+            .or_else(|| feature.entries.iter().find(is_one).map(String::as_str))
+            .map(text),
         _ => None,
     }
 }
 
+/// The requirement for one feature; an error where a required entry is missing.
 fn rule(
     camera: &dyn Description,
     name: &str,
@@ -170,77 +186,52 @@ fn rule(
 ) -> Result<Option<Must>, Trouble> {
     let whole = plain(name);
     let own = VENDORS.iter().find_map(|vendor| whole.strip_prefix(vendor)).unwrap_or(&whole);
-    let known = |list: &[(&str, bool)]| {
-        list.iter().find(|(other, _)| *other == whole || *other == own).map(|(_, strict)| *strict)
-    };
+    let is_among = |names: &[&str]| names.iter().any(|other| *other == whole || *other == own);
     // Actions are scheduled on the clock that PTP gives all cameras.
-    if wishes.action.is_some_and(|action| action.ptp) && super::PTP_SWITCHES.contains(&name) {
+    if wishes.action.is_some_and(|action| action.ptp) && super::action::PTP_SWITCHES.contains(&name) {
         return Ok(None);
     }
-    if let Some(strict) = known(&SWITCHED_OFF) {
-        return Ok(off(feature).map(|want| must(name, want, strict)));
+    let switch = SWITCHED_OFF.iter().find(|(other, _)| is_among(&[other]));
+    if let Some((_, strict)) = switch {
+        return Ok(off(feature).map(|want| must(name, want, *strict)));
+    }
+    if let Some((_, entries, strict)) = CHOSEN.iter().find(|(names, ..)| names.contains(&whole.as_str())) {
+        return Ok(feature.entry(entries).map(|entry| must(name, text(entry), *strict)));
     }
     let needed = |entries: &[&str], remedy: &str| match feature.entry(entries) {
         Some(entry) => Ok(Some(must(name, text(entry), true))),
         None => Err(Trouble::no_entry(name, entries[0], feature, remedy)),
     };
-    Ok(match whole.as_str() {
+    // What must be so, and whether the camera is refused otherwise.
+    let (want, strict) = match whole.as_str() {
         "acquisitionmode" if wishes.triggered => {
             return needed(&["Continuous"], "a session needs it: use another camera");
         }
         "exposuremode" if !wishes.left_to_settings("exposure_us") => {
-            let remedy = "set its exposure in `settings`, and say left_to_settings = [\"exposure_us\"]";
+            let remedy = "set its exposure in `settings`, and set left_to_settings = [\"exposure_us\"]";
             return needed(&["Timed", "Manual"], remedy);
         }
-        "shuttermode" | "sensorshuttermode" => {
-            feature.entry(&["Global", "GlobalShutter"]).map(|entry| must(name, text(entry), true))
-        }
-        "devicestreamchannelendianness" => {
-            feature.entry(&["Little"]).map(|entry| must(name, text(entry), false))
-        }
-        "lutmode" => feature.entry(&["Off", "Linear"]).map(|entry| must(name, text(entry), true)),
         "gamma" if feature.kind == Kind::Float => {
             let switch = ["GammaEnable", "GammaEnabled"].into_iter().find(|n| camera.feature(n).is_some());
             let want = Want::Value(FeatureValue::Float(1.0));
-            Some(Must { unless_off: switch, ..must(name, want, true) })
+            return Ok(Some(Must { unless_off: switch, ..must(name, want, true) }));
         }
         "digitalshift" if feature.kind == Kind::Integer => {
-            Some(must(name, Want::Value(FeatureValue::Integer(0)), true))
-        }
-        "transfercontrolmode" => {
-            feature.entry(&["Basic", "Automatic"]).map(|entry| must(name, text(entry), false))
+            (Some(Want::Value(FeatureValue::Integer(0))), true)
         }
         "triggerdivider" | "triggermultiplier" | "framespertrigger" if wishes.triggered => {
-            one(feature).map(|want| must(name, want, true))
+            (one(feature), true)
         }
-        "triggerdelayenabled" | "triggerdelayenable" if wishes.triggered => {
-            off(feature).map(|want| must(name, want, true))
-        }
-        _ if is_delay(name, feature) && wishes.triggered => Some(must(name, Want::Least, true)),
-        // A number of no standard may count otherwise.
-        "binning" | "decimation" => one(feature).map(|want| must(name, want, false)),
-        _ if is_binning(own) => one(feature).map(|want| must(name, want, true)),
-        _ if is_test_image(own) => off(feature).map(|want| must(name, want, true)),
-        _ if is_wide_range(own) => off(feature).map(|want| must(name, want, true)),
-        _ if is_automatic(&whole) => {
-            let strict = STRICT_AUTO.iter().any(|auto| *auto == whole || *auto == own);
-            off(feature).map(|want| must(name, want, strict))
-        }
-        _ => None,
-    })
-}
-
-fn is_binning(name: &str) -> bool {
-    const NAMES: [&str; 7] = [
-        "binninghorizontal",
-        "binningvertical",
-        "binningmode",
-        "decimationhorizontal",
-        "decimationvertical",
-        "subsamplinghorizontal",
-        "subsamplingvertical",
-    ];
-    NAMES.contains(&name)
+        "triggerdelayenabled" | "triggerdelayenable" if wishes.triggered => (off(feature), true),
+        _ if is_delay(name, feature) && wishes.triggered => (Some(Want::Least), true),
+        // These names are of no standard, and their numbers may mean something else.
+        "binning" | "decimation" => (one(feature), false),
+        _ if BINNING.contains(&own) => (one(feature), true),
+        _ if is_test_image(own) || is_wide_range(own) => (off(feature), true),
+        _ if is_automatic(&whole) => (off(feature), is_among(&STRICT_AUTO)),
+        _ => return Ok(None),
+    };
+    Ok(want.map(|want| must(name, want, strict)))
 }
 
 fn is_test_image(name: &str) -> bool {
@@ -248,7 +239,7 @@ fn is_test_image(name: &str) -> bool {
         || (name.ends_with("testpattern") && name.len() < 20)
 }
 
-/// Several exposures in one image.
+/// Whether a feature combines several exposures in one image.
 fn is_wide_range(name: &str) -> bool {
     (name.contains("hdr") || name.contains("wdr")) && (name.ends_with("enable") || name.ends_with("enabled"))
         || name == "hdrmode"
@@ -256,7 +247,7 @@ fn is_wide_range(name: &str) -> bool {
 
 fn is_automatic(name: &str) -> bool {
     let automatic = name.ends_with("auto") || name.ends_with("autobalance");
-    // Not what drives a rate that is switched off, and not what no frame shows.
+    // Not the frame rate, which is switched off, and not functions that no frame shows.
     let other = ["chunk", "event", "focus", "acquisitionframerate"].iter().any(|o| name.starts_with(o));
     automatic && !other
         || ["autogain", "autoexposure", "autogainenable", "autoexposureenable"].contains(&name)

@@ -2,7 +2,7 @@
 //! Each rule, with descriptions made up for it.
 
 use super::{Amount, Link, Plan, Scale, Want, Wishes, must_be, resolve};
-use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
+use crate::camera::description::{Access, Description, Feature, Kind};
 use crate::config::{AUTO, ActionConfig, CameraWords, Channel, Edge, Mosaic, PacketDelay, Pixel};
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ impl Description for Made {
     }
 }
 
-/// `Name:kind[:unit][=entry,entry][ro]`, separated by blanks.
+/// A description from `Name:kind[:unit][=entry,entry][ro]`, separated by blanks.
 pub(crate) fn made(text: &str) -> Made {
     let feature = |word: &str| {
         let (word, access) = match word.strip_suffix("!ro") {
@@ -39,14 +39,15 @@ pub(crate) fn made(text: &str) -> Made {
         };
         let entries = entries.split(',').filter(|entry| !entry.is_empty()).map(str::to_owned).collect();
         let unit = head.next().map(str::to_owned);
-        (name, Feature { kind, access, unit, bounds: Bounds::default(), entries })
+        (name, Feature { kind, access, unit, entries })
     };
     Made(text.split_whitespace().map(feature).collect())
 }
 
-/// What most cameras have.
+/// The features that most cameras have.
 const USUAL: &str = "PixelFormat=Mono8,Mono12 Width:int Height:int OffsetX:int OffsetY:int ExposureTime:float:us \
-                     Gain:float:dB TriggerMode=Off,On TriggerSource=Line0,Software TriggerActivation=RisingEdge,FallingEdge \
+                     Gain:float:dB TriggerMode=Off,On TriggerSource=Line0,Software \
+                     TriggerActivation=RisingEdge,FallingEdge \
                      TriggerSelector=FrameStart,AcquisitionStart AcquisitionMode=Continuous,SingleFrame";
 
 fn usual(changes: &[(&str, &str)]) -> Made {
@@ -71,7 +72,7 @@ pub(crate) fn wishes() -> Wishes {
     }
 }
 
-fn said(change: impl FnOnce(&mut CameraWords)) -> Wishes {
+fn stated(change: impl FnOnce(&mut CameraWords)) -> Wishes {
     let mut wishes = wishes();
     change(&mut wishes.words);
     wishes
@@ -154,14 +155,14 @@ fn a_camera_without_actions_keys_or_ptp_is_refused_by_name() {
     };
     let keys = "ActionDeviceKey:int ActionGroupKey:int ActionGroupMask:int";
     let source = ("TriggerSource", "TriggerSource=Line1,Action1");
-    let told = troubles(&[("", keys)], false);
+    let found = troubles(&[("", keys)], false);
     assert!(
-        told.len() == 1 && told[0].contains("`Action0` is not an entry of TriggerSource: Line0, Software")
+        found.len() == 1 && found[0].contains("`Action0` is not an entry of TriggerSource: Line0, Software")
     );
-    let told = troubles(&[source], false);
-    assert!(told.len() == 3 && told[0].starts_with("the camera has no ActionDeviceKey"), "{told:?}");
-    let told = troubles(&[source, ("", keys)], true);
-    assert!(told.len() == 1 && told[0].contains("say trigger.ptp = false"), "{told:?}");
+    let found = troubles(&[source], false);
+    assert!(found.len() == 3 && found[0].starts_with("the camera has no ActionDeviceKey"), "{found:?}");
+    let found = troubles(&[source, ("", keys)], true);
+    assert!(found.len() == 1 && found[0].contains("set trigger.ptp = false"), "{found:?}");
 }
 
 #[test]
@@ -169,7 +170,8 @@ fn an_ordinary_camera_is_set_in_an_order_that_locks_nothing() {
     assert_eq!(
         short(&resolve(&usual(&[]), &wishes())),
         "PixelFormat=Mono8 OffsetX=0 OffsetY=0 Width=1920 Height=1200 ExposureTime=1000 Gain=0 \
-         TriggerSelector=AcquisitionStart TriggerMode=Off TriggerSelector=FrameStart TriggerMode=Off TriggerSource=Line0 \
+         TriggerSelector=AcquisitionStart TriggerMode=Off TriggerSelector=FrameStart TriggerMode=Off \
+         TriggerSource=Line0 \
          TriggerActivation=RisingEdge TriggerMode=On"
     );
 }
@@ -198,7 +200,7 @@ fn exposures_of_all_standards_are_found() {
         assert!(plan.contains(&format!(" {expected} ")), "{has}: {plan}");
     }
     let text = trouble(&usual(&[("ExposureTime", "ExposureTimeRaw:int")]), &wishes());
-    assert!(text.contains("how long one is"), "{text}");
+    assert!(text.contains("the length of one"), "{text}");
     let text = trouble(&usual(&[("ExposureTime", "ExposureTimer:cmd")]), &wishes());
     assert!(text.contains("nearest names: ExposureTimer") && text.contains("left_to_settings"), "{text}");
 }
@@ -227,10 +229,10 @@ fn gains_of_all_standards_are_found() {
             "GainSelector=DigitalAll Gain=0 GainSelector=AnalogAll Gain=6 GainSelector=AnalogAll Gain=6",
         ),
     ] {
-        let plan = short(&resolve(&usual(&[("Gain", has)]), &said(|words| words.gain_db = Some(db))));
+        let plan = short(&resolve(&usual(&[("Gain", has)]), &stated(|words| words.gain_db = Some(db))));
         assert!(plan.contains(&format!(" {expected} ")), "{has}: {plan}");
     }
-    let six = said(|words| words.gain_db = Some(6.0));
+    let six = stated(|words| words.gain_db = Some(6.0));
     assert!(trouble(&usual(&[("Gain", "GainRaw:int")]), &six).contains("steps"));
     assert!(trouble(&usual(&[("Gain", "GainRaw:float")]), &six).contains("steps"));
     assert!(trouble(&usual(&[("Gain", "Width:int")]), &six).contains("is its gain"));
@@ -266,7 +268,7 @@ fn the_trigger_that_starts_a_frame_is_found_and_the_others_are_off() {
     // Before there was a trigger of frames, that of the acquisition took each; among others it does not.
     let plan = resolve(&usual(&[("TriggerSelector", "TriggerSelector=AcquisitionStart")]), &wishes());
     assert!(short(&plan).contains("TriggerSelector=AcquisitionStart TriggerMode=Off TriggerSource=Line0"));
-    assert!(plan.told[0].contains("AcquisitionStart alone"), "{:?}", plan.told);
+    assert!(plan.remarks[0].contains("AcquisitionStart alone"), "{:?}", plan.remarks);
     let among = usual(&[("TriggerSelector", "TriggerSelector=AcquisitionStart,AcquisitionEnd")]);
     assert!(trouble(&among, &wishes()).contains("FrameStart"));
     let alone = short(&resolve(&usual(&[("TriggerSelector", "TriggerSelector=All")]), &wishes()));
@@ -285,13 +287,14 @@ fn the_trigger_that_starts_a_frame_is_found_and_the_others_are_off() {
 #[test]
 fn a_line_is_named_or_found_where_there_is_one_alone() {
     let sources = |entries: &str| usual(&[("TriggerSource", &format!("TriggerSource={entries}"))]);
-    let line = |name: &str| said(|words| words.trigger_line = Some(name.to_owned()));
+    let line = |name: &str| stated(|words| words.trigger_line = Some(name.to_owned()));
     let plan = short(&resolve(&sources("Software,Line1,Line2"), &line("Line 2")));
     assert!(plan.contains("TriggerSource=Line2 "), "{plan}");
     assert!(short(&resolve(&sources("ExtTrig,SoftTrigger"), &wishes())).contains("TriggerSource=ExtTrig"));
     assert_eq!(
         trouble(&sources("Line1,Line2,Line3,Software"), &line("Line0")),
-        "`Line0` is not an entry of TriggerSource: Line1, Line2, Line3, Software; say trigger_line = \"Line1\" or another \
+        "`Line0` is not an entry of TriggerSource: Line1, Line2, Line3, Software; set trigger_line = \"Line1\" or \
+         another \
          of them, as the HSU is wired"
     );
     let text = trouble(&sources("Software,Line0,Line1"), &wishes());
@@ -308,12 +311,12 @@ fn a_line_is_named_or_found_where_there_is_one_alone() {
 }
 
 #[test]
-fn edges_and_overlap_are_said_in_the_cameras_words() {
-    let falling = said(|words| words.trigger_edge = Some(Edge::Falling));
+fn edges_and_overlap_are_set_by_the_cameras_names() {
+    let falling = stated(|words| words.trigger_edge = Some(Edge::Falling));
     assert!(short(&resolve(&usual(&[]), &falling)).contains("TriggerActivation=FallingEdge"));
     let none = usual(&[("TriggerActivation", "TriggerActivation=None")]);
     let plan = resolve(&none, &wishes());
-    assert!(plan.troubles.is_empty() && plan.told.join("; ").contains("TriggerActivation has None alone"));
+    assert!(plan.troubles.is_empty() && plan.remarks.join("; ").contains("TriggerActivation has None alone"));
     assert!(trouble(&none, &falling).contains("[\"TriggerActivation\", \"None\"]"));
     let mut left = wishes();
     left.words.left_to_settings = vec!["trigger_edge".to_owned()];
@@ -326,7 +329,7 @@ fn edges_and_overlap_are_said_in_the_cameras_words() {
     ] {
         let made = usual(&[("TriggerOverlap", has)]);
         assert!(short(&resolve(&made, &wishes())).contains(expected), "{has}");
-        let plain = said(|words| words.overlap = Some(false));
+        let plain = stated(|words| words.overlap = Some(false));
         let off = format!("{}=Off", expected.split('=').next().expect("a name"));
         assert!(short(&resolve(&made, &plain)).contains(&off), "{has}");
     }
@@ -346,24 +349,16 @@ fn images_that_are_not_grey_or_do_not_fit_are_refused_by_name() {
     }
     let text = trouble(&usual(&[("PixelFormat", "PixelFormat=BayerRG8,RGB8")]), &wishes());
     assert!(text.starts_with("`Mono8` is not an entry of PixelFormat: BayerRG8, RGB8"), "{text}");
-    assert!(text.contains("say pixel = \"bayer8\""), "{text}");
+    assert!(text.contains("set pixel = \"bayer8\""), "{text}");
     let text = trouble(&usual(&[("PixelFormat", "PixelFormat=YUV422,RGB8")]), &wishes());
     assert!(text.contains("use a camera that sends it"), "{text}");
     let old =
         usual(&[("PixelFormat", "PixelFormat=Mono8,Mono16!ro PixelCoding=Mono,Raw PixelSize=Bpp8,Bpp16")]);
     assert!(short(&resolve(&old, &wishes())).starts_with("PixelCoding=Mono PixelSize=Bpp8"));
-    let fixed = |pixel| said(|words| words.pixel = Some(pixel));
+    let fixed = |pixel| stated(|words| words.pixel = Some(pixel));
     let old = "PixelFormat=Mono8,Mono12Packed!ro PixelCoding=Mono,MonoPacked PixelSize=Bpp8,Bpp12";
     let plan = resolve(&usual(&[("PixelFormat", old)]), &fixed(Pixel::Mono12Packed));
     assert!(short(&plan).starts_with("PixelCoding=MonoPacked PixelSize=Bpp12"), "{}", short(&plan));
-    let mut narrow = usual(&[]);
-    let width = narrow.0.get_mut("Width").expect("there");
-    width.bounds = Bounds { min: Some(16.0), max: Some(1280.0), step: Some(16.0) };
-    assert!(trouble(&narrow, &wishes()).contains("Width takes 16 to 1280, asked for 1920"));
-    narrow.0.get_mut("Width").expect("there").bounds.max = Some(4096.0);
-    let mut wishes = wishes();
-    wishes.size.0 = 1928;
-    assert!(trouble(&narrow, &wishes).contains("say 1920 or 1936"));
 }
 
 /// 8 bits where the camera has them, whatever else it has; else the fewest bytes whose rows end with one.
@@ -380,10 +375,10 @@ fn deeper_grey_is_taken_where_it_is_named_or_where_there_is_no_8_bits() {
     assert_eq!(chosen("Mono16,Mono14", &auto), "Mono14");
     let odd = Wishes { size: (1922, 1200), ..wishes() };
     assert_eq!(chosen("Mono16,Mono12p,Mono10p", &odd), "Mono12p");
-    let named = |pixel| said(|words| words.pixel = Some(pixel));
+    let named = |pixel| stated(|words| words.pixel = Some(pixel));
     assert_eq!(chosen("Mono8,Mono12p", &named(Pixel::Mono12p)), "Mono12p");
     let text = trouble(&has("Mono8,Mono12p"), &named(Pixel::Mono16));
-    assert!(text.contains("`Mono16` is not an entry of PixelFormat: Mono8, Mono12p; name one"), "{text}");
+    assert!(text.contains("`Mono16` is not an entry of PixelFormat: Mono8, Mono12p; set pixel"), "{text}");
     let text = trouble(&has("Mono10p"), &Wishes { size: (1922, 1200), ..named(Pixel::Mono10p) });
     assert!(text.contains("needs rows of a multiple of 4 columns, and the rig has 1922"), "{text}");
     // A plane of a mosaic: whatever its filters are, and twice the columns and rows.
@@ -406,7 +401,7 @@ fn deeper_grey_is_taken_where_it_is_named_or_where_there_is_no_8_bits() {
 
 #[test]
 fn packet_delays_are_counted_as_the_camera_counts() {
-    let delay = |delay| said(|words| words.packet_delay = Some(delay));
+    let delay = |delay| stated(|words| words.packet_delay = Some(delay));
     let five = delay(PacketDelay::Microseconds(5.0));
     let with = |has: &str| usual(&[("GevSCPD", has)]);
     assert!(short(&resolve(&with("GevSCPD:int"), &five)).contains("GevSCPD=5us-in-ticks"));

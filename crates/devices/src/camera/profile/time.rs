@@ -1,31 +1,33 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Exposure, and the time between two packets.
 
-use super::{Amount, Plan, Scale, Trouble, Wishes, Write, check_bounds, first_writable, none_of};
+use super::plan::{Amount, Plan, Scale, Trouble, Wishes, Write, first_writable, none_of, writable_number};
 use crate::camera::description::{Description, plain};
 use crate::config::PacketDelay;
 use crate::network::wire;
 
-/// Exposure as a time, in the order of standards, newest first.
+/// Features with the exposure as a time, newest standard first.
 const EXPOSURES: [&str; 6] =
     ["ExposureTime", "ExposureTimeAbs", "ExposureTimeUs", "IntegrationTime", "ShutterTimeAbs", "ShutterTime"];
-/// Names that mean an exposure only where their unit is a time.
+/// Features that are the exposure only where their unit is a time.
 const IN_A_UNIT: [&str; 4] = ["Exposure", "ExposureValue", "Shutter", "ShutterSpeed"];
-/// Exposure in ticks, and the features that may say how long a tick is.
+/// Feature with the exposure in ticks.
 const RAW: &str = "ExposureTimeRaw";
+/// Features that may hold the length of a tick, microseconds.
 const TICKS: [&str; 4] =
     ["ExposureTimeBaseAbs", "ExposureTimebaseAbs", "ExposureTimeBase", "ExposureTimeRawUnit"];
-/// By how much a camera's nearest exposure may differ, unless the node file says: the lines of the slowest sensors.
+/// Largest difference between the camera's exposure and the requested one, microseconds, unless the node file has
+/// another: the time of a line of the slowest sensors.
 const TOLERANCE_US: f64 = 20.0;
 
-/// How many of this unit are a microsecond; `None` for a unit that is no time.
+/// How many of this unit are one microsecond; `None` for a unit that is no time.
 fn per_microsecond(unit: Option<&str>) -> Option<f64> {
     let unit = unit.map(str::trim).unwrap_or_default();
-    // SFNC: microseconds.
+    // Without a unit, SFNC means microseconds.
     if unit.is_empty() {
         return Some(1.0);
     }
-    // A letter of another alphabet before seconds is a mu, or what was made of one on its way.
+    // A letter outside ASCII in front of the seconds is a mu, or what an encoding made of it.
     let prefix = if unit.is_ascii() { "" } else { "u" };
     match format!("{prefix}{}", plain(unit)).as_str() {
         "us" | "usec" | "usecs" | "usecond" | "useconds" | "microsec" | "microsecs" | "microsecond"
@@ -41,7 +43,7 @@ pub fn exposure(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     if wishes.left_to_settings("exposure_us") {
         return;
     }
-    // One exposure for all lines of a sensor that could have several.
+    // Some sensors can expose lines differently: here all lines share one exposure.
     for (name, entries) in
         [("ExposureTimeMode", &["Common"][..]), ("ExposureTimeSelector", &["Common", "All"])]
     {
@@ -51,10 +53,7 @@ pub fn exposure(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
             plan.writes.push(Write::entry(name, entry, "exposure_us").optional());
         }
     }
-    match exposure_write(camera, wishes) {
-        Ok(write) => plan.writes.push(write),
-        Err(trouble) => plan.troubles.push(trouble),
-    }
+    plan.add(exposure_write(camera, wishes).map(Some));
 }
 
 fn exposure_write(camera: &dyn Description, wishes: &Wishes) -> Result<Write, Trouble> {
@@ -65,23 +64,17 @@ fn exposure_write(camera: &dyn Description, wishes: &Wishes) -> Result<Write, Tr
         Write::new(name, Amount::Near { wanted, scale, tolerance, unit: "us" }, WORD)
     };
     let time = |name: &&'static str| {
-        let feature = camera.feature(name).filter(|f| f.is_writable() && f.is_number())?;
+        let feature = writable_number(camera, name)?;
         Some((*name, per_microsecond(feature.unit.as_deref())?, feature))
     };
-    if let Some((name, scale, feature)) = EXPOSURES.iter().find_map(time) {
-        check_bounds(name, &feature, wanted * scale, WORD)?;
-        return Ok(near(name, Scale::Times(scale)));
-    }
     let in_a_unit = |name: &&'static str| time(name).filter(|(_, _, feature)| feature.unit.is_some());
-    if let Some((name, scale, feature)) = IN_A_UNIT.iter().find_map(in_a_unit) {
-        check_bounds(name, &feature, wanted * scale, WORD)?;
+    let found =
+        EXPOSURES.iter().find_map(time).or_else(|| IN_A_UNIT.iter().chain([&RAW]).find_map(in_a_unit));
+    if let Some((name, scale, _)) = found {
         return Ok(near(name, Scale::Times(scale)));
     }
-    let raw = camera.feature(RAW).filter(|feature| feature.is_writable() && feature.is_number());
-    let Some(raw) = raw else { return Err(none_of(camera, &EXPOSURES, "is its exposure", WORD)) };
-    if let Some(scale) = raw.unit.as_deref().and_then(|unit| per_microsecond(Some(unit))) {
-        check_bounds(RAW, &raw, wanted * scale, WORD)?;
-        return Ok(near(RAW, Scale::Times(scale)));
+    if writable_number(camera, RAW).is_none() {
+        return Err(none_of(camera, &EXPOSURES, "is its exposure", WORD));
     }
     let tick = TICKS.iter().find(|name| camera.feature(name).is_some_and(|f| f.is_number()));
     match tick {
@@ -89,15 +82,15 @@ fn exposure_write(camera: &dyn Description, wishes: &Wishes) -> Result<Write, Tr
         None => Err(Trouble::new(
             RAW,
             format!(
-                "the camera counts its exposure in ticks ({RAW}), expected a feature that says how long one is (looked \
-                 for {}): set [\"{RAW}\", TICKS] in `settings`, and say left_to_settings = [\"{WORD}\"]",
+                "the camera counts its exposure in ticks ({RAW}), expected a feature with the length of one (looked \
+                 for {}): set [\"{RAW}\", TICKS] in `settings`, and set left_to_settings = [\"{WORD}\"]",
                 TICKS.join(", ")
             ),
         )),
     }
 }
 
-/// The gap that cameras in one network leave between packets, as a share of what the others need.
+/// Adds the gap between packets, which leaves room for the packets of other cameras in the network.
 pub fn packet_delay(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     const WORD: &str = "packet_delay_us";
     let Some(delay) = wishes.words.packet_delay else { return };
@@ -113,50 +106,48 @@ pub fn packet_delay(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) 
         if delay == PacketDelay::Auto && limit_rate(camera, wishes, plan) {
             return;
         }
-        // No delay needs no feature; USB has no packets.
+        // A delay of 0 needs no feature, and USB has no packets.
         if delay_us > 0.0 {
             plan.troubles.push(none_of(camera, &names, "is the time between two packets", WORD));
         }
         return;
     };
-    let scale = match feature.unit.as_deref() {
-        Some(unit) if per_microsecond(Some(unit)).is_some() => {
-            Scale::Times(per_microsecond(Some(unit)).unwrap_or(1.0))
-        }
-        _ if delay_us == 0.0 => Scale::Times(1.0),
-        _ => Scale::Clock,
+    let scale = match feature.unit.as_deref().and_then(|unit| per_microsecond(Some(unit))) {
+        Some(times) => Scale::Times(times),
+        None if delay_us == 0.0 => Scale::Times(1.0),
+        None => Scale::Clock,
     };
     let amount = Amount::Near { wanted: delay_us, scale, tolerance: 1.0 + delay_us * 0.1, unit: "us" };
     plan.writes.push(Write::new(name, amount, WORD));
 }
 
-/// Cameras that pace their packets by bytes a second get as many as a frame needs in nine tenths of a period.
+/// Limits the rate of a camera that paces its packets by bytes per second: a frame then takes nine tenths of a period.
 fn limit_rate(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) -> bool {
     if wishes.link.cameras < 2 {
         return false;
     }
     let bytes_per_s = |name: &&'static str| {
-        let feature = camera.feature(name).filter(|f| f.is_writable() && f.is_number())?;
+        let feature = writable_number(camera, name)?;
         let unit = plain(feature.unit.as_deref().unwrap_or_default());
         ["", "bps", "bytess", "bytespersecond"].contains(&unit.as_str()).then_some(*name)
     };
     let names = ["StreamBytesPerSecond", "DeviceLinkThroughputLimit"];
     let Some(name) = names.iter().find_map(bytes_per_s) else { return false };
-    // Headers are a twentieth where packets are small.
+    // Headers add up to a twentieth where packets are small.
     let wanted = plan.image_bytes(wishes) as f64 * 1.05 * 1e9 / (0.9 * wishes.link.period_ns as f64);
     let amount = Amount::Near { wanted, scale: Scale::Times(1.0), tolerance: 0.05 * wanted, unit: "bytes/s" };
     plan.writes.push(Write::new(name, amount, "packet_delay_us"));
     true
 }
 
-/// With k cameras in one network each leaves room for the packets of the others on the slowest link that cameras have, as far
-/// as its frame then still fits into nine tenths of a period.
+/// The packet delay for "auto", microseconds: each camera leaves room for the packets of the others on a link of 1
+/// Gbit/s, as far as its frame still fits into nine tenths of a period.
 fn automatic_us(wishes: &Wishes, image_bytes: usize) -> f64 {
     let Wishes { link, .. } = wishes;
     if link.cameras < 2 || link.packet_bytes < 64 {
         return 0.0;
     }
-    /// 1 Gbit/s.
+    // The slowest link of a camera has 1 Gbit/s.
     const BITS_PER_US: f64 = 1000.0;
     let packets = image_bytes as f64 / (u64::from(link.packet_bytes) - wire::HEADERS) as f64;
     let each_us = 0.9 * link.period_ns as f64 / 1000.0 / packets;

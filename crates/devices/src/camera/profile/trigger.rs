@@ -2,19 +2,19 @@
 //! The trigger: one that starts a frame, by the HSU's line or by action commands, and no other.
 
 use super::action;
-use super::{Amount, Plan, Trouble, Wishes, Write, first_writable, is_fixed};
+use super::plan::{Amount, Plan, Trouble, Wishes, Write, first_writable};
 use crate::camera::description::{Description, Feature, list, nearest, plain};
 use crate::config::{AUTO, Edge, FeatureValue};
 
-/// Selectors of the triggers that start a single frame, the first that a camera has being taken.
+/// Entries of `TriggerSelector` that start a single frame; the first that a camera has is used.
 pub const FRAME_TRIGGERS: [&str; 7] =
     ["FrameStart", "ExposureStart", "FrameBurstStart", "FrameTrigger", "ImageStart", "Frame", "Exposure"];
 
-/// The trigger of cameras from before there was one of frames.
+/// The only trigger of cameras that were designed before triggers of frames existed.
 const BEFORE_FRAMES: &str = "acquisitionstart";
 
-/// Whether the trigger of this name starts a single frame. One that is alone does, whatever it is called, unless its name says
-/// that it starts or ends something else.
+/// Whether the trigger of this name starts a single frame. A camera's only trigger does, whatever its name, unless
+/// the name means the start or end of something else.
 pub fn starts_a_frame(entry: &str, alone: bool) -> bool {
     let name = plain(entry);
     if alone && name == BEFORE_FRAMES {
@@ -25,6 +25,11 @@ pub fn starts_a_frame(entry: &str, alone: bool) -> bool {
     FRAME_TRIGGERS.iter().any(|known| plain(known) == name) || alone && !other
 }
 
+/// Entries of a trigger's mode that mean on.
+pub const ON: [&str; 4] = ["On", "True", "Enabled", "Enable"];
+/// Entries of a trigger's mode that mean off.
+pub const OFF: [&str; 4] = ["Off", "False", "Disabled", "Disable"];
+
 const LINE: &str = "trigger_line";
 const MODE: &str = "TriggerMode";
 const SELECTOR: &str = "TriggerSelector";
@@ -34,55 +39,38 @@ const ACTIVATION: &str = "TriggerActivation";
 /// The entry of `TriggerSelector` that starts a frame; `None` where the camera has one trigger alone.
 pub fn frame_trigger(camera: &dyn Description) -> Result<Option<String>, Trouble> {
     let Some(selector) = camera.feature(SELECTOR) else { return Ok(None) };
-    match selector.entry(&FRAME_TRIGGERS) {
-        Some(entry) => Ok(Some(entry.to_owned())),
-        None if selector.entries.is_empty() => Ok(None),
-        None if selector.entries.len() == 1 && starts_a_frame(&selector.entries[0], true) => {
-            Ok(selector.entries.first().cloned())
-        }
-        None => Err(Trouble::no_entry(
+    match (selector.entry(&FRAME_TRIGGERS), selector.entries.as_slice()) {
+        (Some(entry), _) => Ok(Some(entry.to_owned())),
+        (None, []) => Ok(None),
+        (None, [alone]) if starts_a_frame(alone, true) => Ok(Some(alone.clone())),
+        (None, _) => Err(Trouble::no_entry(
             SELECTOR,
             FRAME_TRIGGERS[0],
             &selector,
-            "none of them starts a frame: use a camera that one edge of a line makes take one frame",
+            "none of them starts a frame: use a camera that takes one frame for one edge of a line",
         )),
     }
 }
 
+/// Adds the trigger of frames: source, edge and overlap while it is off, then its mode. All other triggers are off.
 pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     let wanted = wishes.triggered || wishes.words.trigger_line.is_some() || wishes.action.is_some();
     if !wanted || wishes.left_to_settings(LINE) {
         return;
     }
-    let Some(mode) = camera.feature(MODE) else {
-        let near = nearest(MODE, &camera.names());
-        plan.troubles.push(Trouble::new(
-            MODE,
-            format!(
-                "the camera has no {MODE}, and how a line makes it take a frame is not known (nearest names: {}): set \
-                 that up in `settings` and say left_to_settings = [\"{LINE}\"], or use another camera",
-                list(&near)
-            ),
-        ));
-        return;
-    };
-    let Some(on) = mode.entry(&["On", "True", "Enabled", "Enable"]).map(str::to_owned) else {
-        let remedy = "set the trigger up in `settings`, and say left_to_settings = [\"trigger_line\"]";
-        return plan.troubles.push(Trouble::no_entry(MODE, "On", &mode, remedy));
-    };
-    let off = mode.entry(&["Off", "False", "Disabled", "Disable"]).map(str::to_owned);
-    let frame = match frame_trigger(camera) {
-        Ok(frame) => frame,
+    let (on, off, frame) = match mode(camera) {
+        Ok(found) => found,
         Err(trouble) => return plan.troubles.push(trouble),
     };
     if let Some(frame) = frame.as_deref().filter(|frame| plain(frame) == BEFORE_FRAMES) {
-        plan.told.push(format!(
-            "{SELECTOR} has {frame} alone: that one edge takes one frame, and not a row of them, is seen in the warm-up"
+        plan.remarks.push(format!(
+            "{SELECTOR} has {frame} alone: whether one edge takes one frame, and not a row of them, shows in the \
+             warm-up"
         ));
     }
-    let selector = camera.feature(SELECTOR).filter(|selector| !is_fixed(selector));
+    let selector = camera.feature(SELECTOR).filter(|selector| selector.is_writable());
     if let (Some(selector), Some(frame)) = (&selector, &frame) {
-        // What else could be waited for is off; an entry that cannot be selected now is no trigger.
+        // Every other trigger is switched off. An entry that cannot be selected now is no trigger.
         for other in selector.entries.iter().filter(|other| *other != frame) {
             plan.writes.push(Write::entry(SELECTOR, other, LINE).optional());
             plan.writes.extend(off.as_ref().map(|off| Write::entry(MODE, off, LINE).optional()));
@@ -91,23 +79,22 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     }
     // A trigger that is on may lock its source.
     plan.writes.extend(off.map(|off| Write::entry(MODE, &off, LINE).optional()));
-    match wishes.action {
-        Some(keys) => {
-            action::keys(camera, keys, plan);
-            match action::source(camera) {
-                Ok(write) => plan.writes.push(write),
-                Err(trouble) => plan.troubles.push(trouble),
-            }
-            if keys.ptp {
-                action::ptp(camera, plan);
-            }
+    if let Some(keys) = wishes.action {
+        action::keys(camera, keys, plan);
+        plan.add(action::source(camera));
+        if keys.ptp {
+            plan.add(action::ptp(camera));
         }
-        None => by_line(camera, wishes, plan),
+    } else {
+        let source = source(camera, wishes);
+        if let Ok(Some(line)) = &source {
+            input(camera, line, plan);
+        }
+        plan.add(source);
+        let edge = edge(camera, wishes, &mut plan.remarks);
+        plan.add(edge);
     }
-    match overlap(camera, wishes) {
-        Ok(write) => plan.writes.extend(write),
-        Err(trouble) => plan.troubles.push(trouble),
-    }
+    plan.add(overlap(camera, wishes));
     if frame.as_deref().is_some_and(|frame| plain(frame) == "frameburststart") {
         let one = Amount::Value(FeatureValue::Integer(1));
         let count = first_writable(camera, &["AcquisitionBurstFrameCount", "TriggerFrameCount"]);
@@ -116,23 +103,28 @@ pub fn resolve(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
     plan.writes.push(Write::entry(MODE, &on, LINE));
 }
 
-/// The source is the HSU's line, and its edge.
-fn by_line(camera: &dyn Description, wishes: &Wishes, plan: &mut Plan) {
-    match source(camera, wishes) {
-        Ok(Some(write)) => {
-            input(camera, &write, plan);
-            plan.writes.push(write);
-        }
-        Ok(None) => {}
-        Err(trouble) => plan.troubles.push(trouble),
-    }
-    match edge(camera, wishes, &mut plan.told) {
-        Ok(write) => plan.writes.extend(write),
-        Err(trouble) => plan.troubles.push(trouble),
-    }
+/// The entries of the trigger's mode that are on and off, and the trigger that starts a frame.
+fn mode(camera: &dyn Description) -> Result<(String, Option<String>, Option<String>), Trouble> {
+    let Some(mode) = camera.feature(MODE) else {
+        let near = list(&nearest(MODE, &camera.names()));
+        return Err(Trouble::new(
+            MODE,
+            format!(
+                "the camera has no {MODE}, and how a line makes it take a frame is not known (nearest names: {near}): \
+                 set \
+                 that up in `settings` and set left_to_settings = [\"{LINE}\"], or use another camera"
+            ),
+        ));
+    };
+    let Some(on) = mode.entry(&ON) else {
+        let remedy = "set the trigger up in `settings`, and set left_to_settings = [\"trigger_line\"]";
+        return Err(Trouble::no_entry(MODE, "On", &mode, remedy));
+    };
+    let off = mode.entry(&OFF);
+    Ok((on.to_owned(), off.map(str::to_owned), frame_trigger(camera)?))
 }
 
-/// The line is an input, and its signal is not turned round.
+/// Makes the line an input whose signal is not inverted.
 fn input(camera: &dyn Description, source: &Write, plan: &mut Plan) {
     let Amount::Value(FeatureValue::Text(line)) = &source.amount else { return };
     let Some((selector, lines)) = first_writable(camera, &["LineSelector"]) else { return };
@@ -148,7 +140,7 @@ fn input(camera: &dyn Description, source: &Write, plan: &mut Plan) {
     }
 }
 
-/// Whether an entry of a trigger's source is the name of an input that a wire can be put to.
+/// Whether an entry of a trigger's source names an input that can be wired.
 fn is_line(entry: &str) -> bool {
     let name = plain(entry);
     // JAI's `Line5_OptIn1`, for instance.
@@ -184,58 +176,53 @@ fn is_line(entry: &str) -> bool {
 fn source(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, Trouble> {
     let wanted = wishes.words.trigger_line.as_deref().unwrap_or(AUTO);
     let Some(feature) = camera.feature(SOURCE) else {
-        return match wanted {
-            AUTO => Ok(None),
-            line => Err(Trouble::new(
+        if wanted == AUTO {
+            return Ok(None);
+        }
+        let message = format!(
+            "the camera has no {SOURCE}, requested `{wanted}`: its trigger comes from one place alone, set {LINE} = \
+             \"{AUTO}\""
+        );
+        return Err(Trouble::new(SOURCE, message));
+    };
+    let lines: Vec<&String> = feature.entries.iter().filter(|entry| is_line(entry)).collect();
+    let entry = match (wanted, lines.as_slice()) {
+        (AUTO, [line]) => line.as_str(),
+        (AUTO, []) => {
+            let remedy = format!("none of them is known as a line: set {LINE} = \"NAME\"");
+            return Err(Trouble::no_entry(SOURCE, AUTO, &feature, &remedy));
+        }
+        (AUTO, [first, ..]) => {
+            return Err(Trouble::new(
                 SOURCE,
                 format!(
-                    "the camera has no {SOURCE}, asked for `{line}`: its trigger comes from one place alone, say \
-                     {LINE} = \"{AUTO}\""
+                    "{SOURCE} has several lines ({}), and which of them the HSU is wired to cannot be known: set \
+                     {LINE} = \"{first}\" or another of them",
+                    list(&lines)
                 ),
-            )),
-        };
-    };
-    let lines: Vec<String> = feature.entries.iter().filter(|entry| is_line(entry)).cloned().collect();
-    let entry = match wanted {
-        AUTO => match lines.as_slice() {
-            [line] => line.clone(),
-            [] => {
-                let remedy = format!("none of them is known as a line: say {LINE} = \"NAME\"");
-                return Err(Trouble::no_entry(SOURCE, AUTO, &feature, &remedy));
-            }
-            several => {
-                return Err(Trouble::new(
-                    SOURCE,
-                    format!(
-                        "{SOURCE} has several lines ({}), and which of them the HSU is wired to cannot be known: say \
-                         {LINE} = \"{}\" or another of them",
-                        list(several),
-                        several[0]
-                    ),
-                ));
-            }
-        },
-        line => match feature.entry(&[line]) {
-            Some(entry) => entry.to_owned(),
+            ));
+        }
+        (line, _) => match feature.entry(&[line]) {
+            Some(entry) => entry,
             None => {
                 let remedy = match lines.first() {
                     Some(first) => {
-                        format!("say {LINE} = \"{first}\" or another of them, as the HSU is wired")
+                        format!("set {LINE} = \"{first}\" or another of them, as the HSU is wired")
                     }
-                    None => format!("say {LINE} as the HSU is wired"),
+                    None => format!("set {LINE} as the HSU is wired"),
                 };
                 return Err(Trouble::no_entry(SOURCE, line, &feature, &remedy));
             }
         },
     };
-    if plain(&entry).contains("software") || plain(&entry) == "off" {
+    if plain(entry).contains("software") || plain(entry) == "off" {
         let message = format!("{SOURCE} `{entry}` is no wire: expected the line that the HSU is wired to");
         return Err(Trouble::new(SOURCE, message));
     }
-    Ok(Some(Write::entry(SOURCE, &entry, LINE)))
+    Ok(Some(Write::entry(SOURCE, entry, LINE)))
 }
 
-/// The inputs that the HSU can be wired to: entries of the trigger's source that are lines, `Line0` and `Line1` first.
+/// The inputs that the HSU can be wired to: the sources that are lines, `Line0` and `Line1` first.
 pub fn trigger_lines(camera: &dyn Description) -> Vec<String> {
     let Some(source) = camera.feature(SOURCE) else { return Vec::new() };
     let mut lines: Vec<String> = source.entries.iter().filter(|entry| is_line(entry)).cloned().collect();
@@ -243,44 +230,43 @@ pub fn trigger_lines(camera: &dyn Description) -> Vec<String> {
     lines
 }
 
-fn edge(camera: &dyn Description, wishes: &Wishes, told: &mut Vec<String>) -> Result<Option<Write>, Trouble> {
+fn edge(
+    camera: &dyn Description,
+    wishes: &Wishes,
+    remarks: &mut Vec<String>,
+) -> Result<Option<Write>, Trouble> {
     const WORD: &str = "trigger_edge";
     if wishes.left_to_settings(WORD) {
         return Ok(None);
     }
-    let said = wishes.words.trigger_edge;
-    let names: &[&str] = match said.unwrap_or(Edge::Rising) {
+    let stated = wishes.words.trigger_edge;
+    let names: &[&str] = match stated.unwrap_or(Edge::Rising) {
         Edge::Rising => &["RisingEdge", "Rising", "PositiveEdge", "Positive", "ActiveHigh"],
         Edge::Falling => &["FallingEdge", "Falling", "NegativeEdge", "Negative", "ActiveLow"],
     };
-    let feature = ["TriggerActivation", "TriggerPolarity"].into_iter().find_map(|name| {
-        let feature = camera.feature(name)?;
-        Some((name, feature))
-    });
-    match feature {
-        None if said != Some(Edge::Falling) => Ok(None),
-        None => Err(Trouble::new(
-            ACTIVATION,
-            format!("the camera has no {ACTIVATION}, asked for {WORD} = \"falling\": say \"rising\""),
-        )),
-        Some((name, feature)) => match feature.entry(names) {
-            Some(entry) => Ok(Some(Write::entry(name, entry, WORD))),
-            None if said.is_none() && feature.entries == ["None"] => {
-                told.push(format!(
-                    "{name} has None alone: the camera's manual says at which edge it exposes, expected the rising one"
-                ));
-                Ok(None)
-            }
-            None => {
-                let other = feature.entries.first().map_or("", String::as_str);
-                let remedy = format!(
-                    "if it is the right one as it is, set [\"{name}\", \"{other}\"] in `settings`, and say \
-                     left_to_settings = [\"{WORD}\"]"
-                );
-                Err(Trouble::no_entry(name, names[0], &feature, &remedy))
-            }
-        },
+    let Some((name, feature)) = first_of(camera, &[ACTIVATION, "TriggerPolarity"]) else {
+        if stated != Some(Edge::Falling) {
+            return Ok(None);
+        }
+        let message =
+            format!("the camera has no {ACTIVATION}, requested {WORD} = \"falling\": set \"rising\"");
+        return Err(Trouble::new(ACTIVATION, message));
+    };
+    if let Some(entry) = feature.entry(names) {
+        return Ok(Some(Write::entry(name, entry, WORD)));
     }
+    if stated.is_none() && feature.entries == ["None"] {
+        remarks.push(format!(
+            "{name} has None alone: look up in the camera's manual at which edge it exposes, expected the rising one"
+        ));
+        return Ok(None);
+    }
+    let other = feature.entries.first().map_or("", String::as_str);
+    let remedy = format!(
+        "if {other} is the right edge, set [\"{name}\", \"{other}\"] in `settings`, and set left_to_settings = \
+         [\"{WORD}\"]"
+    );
+    Err(Trouble::no_entry(name, names[0], &feature, &remedy))
 }
 
 fn overlap(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, Trouble> {
@@ -290,21 +276,24 @@ fn overlap(camera: &dyn Description, wishes: &Wishes) -> Result<Option<Write>, T
     }
     let wanted = wishes.words.overlap.unwrap_or(true);
     let names: &[&str] = match wanted {
-        // Of a trigger during the exposure nothing is known when the frame begins: readout alone is meant.
+        // Overlap with the readout alone: after a trigger during the exposure, the begin of the frame is not known.
         true => &["ReadOut", "On", "Enabled", "Overlap", "Overlapped", "PreviousFrame"],
         false => &["Off", "Disabled", "NonOverlap", "NonOverlapped"],
     };
     let all = ["TriggerOverlap", "TriggerOverlapMode", "OverlapMode", "ReadoutOverlap"];
-    let found = all.into_iter().find_map(|name| Some((name, camera.feature(name)?)));
-    let Some((name, feature)) = found else { return Ok(None) };
-    let Some(entry) = feature.entry(names).map(str::to_owned) else {
-        let remedy = format!("say {WORD} = {}", !wanted);
-        return Err(Trouble::no_entry(name, names[0], &feature, &remedy));
-    };
-    Ok(Some(Write::entry(name, &entry, WORD)))
+    let Some((name, feature)) = first_of(camera, &all) else { return Ok(None) };
+    match feature.entry(names) {
+        Some(entry) => Ok(Some(Write::entry(name, entry, WORD))),
+        None => Err(Trouble::no_entry(name, names[0], &feature, &format!("set {WORD} = {}", !wanted))),
+    }
 }
 
-/// Whether a feature is one of the trigger that is selected, and must be as it is for frames to be taken at the edge.
+/// The first of these features that the camera has, whether it can be written or not.
+fn first_of<'a>(camera: &dyn Description, names: &[&'a str]) -> Option<(&'a str, Feature)> {
+    names.iter().find_map(|name| Some((*name, camera.feature(name)?)))
+}
+
+/// Whether a feature delays the selected trigger.
 pub(super) fn is_delay(name: &str, feature: &Feature) -> bool {
     feature.is_number()
         && matches!(name, "TriggerDelay" | "TriggerDelayAbs" | "TriggerDelayRaw" | "TriggerDelayUs")

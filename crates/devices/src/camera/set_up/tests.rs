@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A camera made up of features with values, locks and habits, set up as a node file says.
+//! A camera in memory, with features, values, locks and habits, set up as a node file requests.
 
 use super::{SetUp, changed, set_up};
-use crate::camera::CameraError;
 use crate::camera::description::{Access, Bounds, Description, Feature, Kind};
+use crate::camera::error::CameraError;
 use crate::camera::features::{Failed, Features};
 use crate::camera::profile::Wishes;
 use crate::camera::profile::tests::{Made, made, wishes};
@@ -19,15 +19,15 @@ struct Fake {
     delivery: BTreeMap<String, FeatureValue>,
     /// Exposures are whole multiples of this.
     line_us: f64,
-    /// What it refuses.
+    /// Features that it refuses to set.
     stubborn: Vec<&'static str>,
     habits: Habits,
 }
 
-/// What some cameras do that no description tells.
+/// Behaviour of some cameras that no description contains.
 #[derive(Default)]
 struct Habits {
-    /// What `UserSetLoad` says, once asked before it is executed, and whenever it is asked after that.
+    /// Whether `UserSetLoad` reports to be done, before and after it is executed.
     done: Option<(Option<bool>, Option<bool>)>,
     loaded: Cell<bool>,
     /// It goes on changing after that.
@@ -247,7 +247,7 @@ fn problems(outcome: Result<SetUp, CameraError>) -> Vec<String> {
 }
 
 #[test]
-fn what_the_last_user_left_is_mended_and_told() {
+fn what_the_last_user_left_is_mended_with_a_remark() {
     let fake = Fake::new();
     let done = set_up(&fake, &wanted()).expect("set up");
     for (feature, expected) in [
@@ -269,15 +269,15 @@ fn what_the_last_user_left_is_mended_and_told() {
     }
     fake.set_text("TriggerSelector", "AcquisitionStart").expect("settable");
     assert_eq!(fake.has_now("TriggerMode"), text("Off"), "one trigger alone is on");
-    let told = done.told.join("; ");
+    let remarks = done.remarks.join("; ");
     for words in
         ["ExposureAuto was Continuous and is set to Off", "GammaEnable was true", "ReverseX was true"]
     {
-        assert!(told.contains(words), "{told}");
+        assert!(remarks.contains(words), "{remarks}");
     }
     assert_eq!((done.contract.size, done.contract.offset), ((1920, 1200), (0, 0)));
-    // A settled camera has nothing to tell.
-    assert_eq!(set_up(&fake, &wanted()).expect("again").told, [""; 0]);
+    // A camera that is set already gets no remark.
+    assert_eq!(set_up(&fake, &wanted()).expect("again").remarks, [""; 0]);
 }
 
 #[test]
@@ -299,7 +299,11 @@ fn settings_of_delivery_are_loaded_first() {
         .into();
     let done = set_up(&fake, &wanted()).expect("set up");
     assert_eq!(fake.has_now("UserSetSelector"), text("Default"));
-    assert!(!done.told.iter().any(|told| told.contains("Auto") || told.contains("Gamma")), "{:?}", done.told);
+    assert!(
+        !done.remarks.iter().any(|remarks| remarks.contains("Auto") || remarks.contains("Gamma")),
+        "{:?}",
+        done.remarks
+    );
 }
 
 /// A camera of which something stands at a value that it only lets read.
@@ -311,13 +315,17 @@ fn fixed(feature: &str, form: &str, value: FeatureValue) -> Fake {
 }
 
 #[test]
-fn deeper_grey_is_told_and_its_lower_byte_must_come_first() {
+fn deeper_grey_gets_a_remark_and_its_lower_byte_must_come_first() {
     let mut twelve = wanted();
     twelve.words.pixel = Some(Pixel::Mono12);
     let done = set_up(&Fake::new(), &twelve).expect("set up");
     assert_eq!((done.contract.pixel, done.contract.received_bytes()), (Pixel::Mono12, 2 * 1920 * 1200));
-    assert!(done.told.iter().any(|told| told.contains("the lower 4 are lost")), "{:?}", done.told);
-    // Named by settings, it is what they say.
+    assert!(
+        done.remarks.iter().any(|remarks| remarks.contains("the lower 4 are lost")),
+        "{:?}",
+        done.remarks
+    );
+    // A format that raw settings name is used as it is.
     let mut left = wanted();
     left.words.left_to_settings = vec!["pixel".to_owned()];
     left.raw = vec![FeatureSetting { feature: "PixelFormat".to_owned(), value: text("Mono12") }];
@@ -343,11 +351,11 @@ fn a_plane_of_colour_is_half_as_large_and_the_calibrations_pixels_are_named() {
         let done = set_up(&mosaic(format), &plane).expect("set up");
         assert_eq!((done.contract.size, done.contract.sent_size()), ((960, 600), (1920, 1200)));
         assert_eq!((done.contract.pixel.name(), done.contract.place), (format, place));
-        let told = done.told.join("; ");
+        let remarks = done.remarks.join("; ");
         let (u, v) = place;
         let pixels = format!("is pixel (2u + {u}, 2v + {v}) of the camera");
-        assert!(told.contains("recorded, 960 x 600") && told.contains(&pixels), "{told}");
-        assert!(!told.contains("makes grey of several pixels"), "{told}");
+        assert!(remarks.contains("recorded, 960 x 600") && remarks.contains(&pixels), "{remarks}");
+        assert!(!remarks.contains("makes grey of several pixels"), "{remarks}");
     }
     let mut odd = mosaic("BayerRG8");
     odd.made.0.get_mut("OffsetX").expect("there").access = Access::Read;
@@ -362,9 +370,9 @@ fn chunks_that_stay_on_get_room_and_other_bytes_do_not() {
     fake.values.borrow_mut().insert("Appended".to_owned(), FeatureValue::Integer(24));
     let done = set_up(&fake, &wanted()).expect("set up");
     assert_eq!((done.contract.chunk_room, done.contract.received_bytes()), (24, 1920 * 1200 + 24));
-    let told = done.told.join("; ");
+    let remarks = done.remarks.join("; ");
     for words in ["ChunkModeActive is true, expected false, and cannot be set", "up to 24 bytes of chunks"] {
-        assert!(told.contains(words), "{told}");
+        assert!(remarks.contains(words), "{remarks}");
     }
     fake.values.borrow_mut().insert("ChunkModeActive".to_owned(), FeatureValue::Flag(false));
     let all = problems(set_up(&fake, &wanted())).join("\n");
@@ -376,14 +384,16 @@ fn an_exposure_is_rounded_within_its_tolerance_and_refused_beyond() {
     let mut fake = Fake::new();
     fake.line_us = 35.0;
     let done = set_up(&fake, &wanted()).expect("1015 is near enough");
-    assert!(done.told.iter().any(|told| told.contains("exposure_us = 1000: the camera takes 1015 us")));
+    assert!(
+        done.remarks.iter().any(|remarks| remarks.contains("exposure_us = 1000: the camera takes 1015 us"))
+    );
     let exposure = done.settings.iter().find(|setting| setting.feature == "ExposureTime").expect("set");
     assert_eq!(exposure.actual, FeatureValue::Float(1015.0));
     let mut strict = wanted();
     strict.words.exposure_tolerance_us = Some(10.0);
     let problems = problems(set_up(&fake, &strict));
     assert_eq!(problems.len(), 1, "{problems:?}");
-    assert!(problems[0].contains("say exposure_us = 1015, or exposure_tolerance_us = 15"), "{problems:?}");
+    assert!(problems[0].contains("set exposure_us = 1015, or exposure_tolerance_us = 15"), "{problems:?}");
 }
 
 #[test]
@@ -402,18 +412,18 @@ fn every_problem_is_named_at_once_with_its_remedy() {
     let all = problems.join("\n");
     println!("{all}");
     for words in [
-        "`Line0` is not an entry of TriggerSource: Line1, Line2, Software; say trigger_line = \"Line1\"",
-        "ExposureTime takes 10 to 1000000 us now, asked for exposure_us = 2000000",
+        "`Line0` is not an entry of TriggerSource: Line1, Line2, Software; set trigger_line = \"Line1\"",
+        "ExposureTime takes 10 to 1000000 us now, requested exposure_us = 2000000",
         "PixelFormat cannot be set to Mono8: the camera refuses it (access denied)",
         "GammaEnable is true, expected false, and cannot be set (the camera refuses it: access denied)",
         "ReverseX is true, expected false, and cannot be set (it can only be read)",
-        "feature BlackLevl: asked for 1, the camera has no such feature; nearest names",
+        "feature BlackLevl: requested 1, the camera has no such feature; nearest names",
         "`UserSet7` is not an entry of UserSetSelector: Default, UserSet1",
         "PayloadSize is 4608000, expected 2304000",
     ] {
         assert!(all.contains(words), "{words:?} missing in\n{all}");
     }
-    assert_eq!(problems.len(), 8, "each is told once: {all}");
+    assert_eq!(problems.len(), 8, "each is reported once: {all}");
 }
 
 #[test]
@@ -438,29 +448,31 @@ fn with(features: &str, values: &[(&str, FeatureValue)]) -> Fake {
 }
 
 #[test]
-fn a_load_that_never_says_done_is_settled_read_back_and_told() {
-    // 0 for the default set is what the register says anyway; another number stays there for ever.
+fn a_load_that_never_reports_its_end_is_settled_and_read_back() {
+    // The register may hold 0 for the default set before and after; another number stays there for ever.
     for done in [(Some(false), Some(false)), (Some(true), Some(false))] {
         let mut fake = Fake::new();
         fake.habits.done = Some(done);
         fake.delivery = [("ExposureAuto".to_owned(), text("Off"))].into();
         let set = set_up(&fake, &wanted()).expect("set up");
-        let told = set.told.join("; ");
+        let remarks = set.remarks.join("; ");
         assert!(
-            told.contains("UserSetLoad of Default never says that it is done; it changed ExposureAuto, and"),
-            "{told}"
+            remarks.contains(
+                "UserSetLoad of Default never reports that it is done; it changed ExposureAuto, and"
+            ),
+            "{remarks}"
         );
         assert_eq!(fake.has_now("ExposureTime"), FeatureValue::Float(1000.0));
     }
-    // One that says so is believed at once, and nothing is told of it.
+    // A camera that reports the end is trusted at once, without a remark.
     let mut fake = Fake::new();
     fake.habits.done = Some((Some(true), Some(true)));
     let set = set_up(&fake, &wanted()).expect("set up");
-    assert!(!set.told.join("; ").contains("UserSetLoad"), "{:?}", set.told);
+    assert!(!set.remarks.join("; ").contains("UserSetLoad"), "{:?}", set.remarks);
 }
 
 #[test]
-fn a_status_that_says_in_progress_before_anything_was_begun_says_nothing() {
+fn a_status_in_progress_before_the_load_is_ignored() {
     let fake = with("UserSetLoadStatus=InProgress,Success!ro", &[("UserSetLoadStatus", text("InProgress"))]);
     set_up(&fake, &wanted()).expect("set up");
 }
@@ -483,7 +495,7 @@ fn a_mode_that_is_one_for_all_triggers_is_looked_at_once() {
         (fake.has_now("TriggerSelector"), fake.has_now("TriggerMode")),
         (text("FrameStart"), text("On"))
     );
-    // Two that are on by themselves are two all the same, and stay as somebody wants them.
+    // Two that are on by themselves are two all the same, and stay as they were.
     let fake = Fake::new();
     let mut wishes = wanted();
     let raw = |feature: &str, value: &str| FeatureSetting { feature: feature.to_owned(), value: text(value) };
@@ -529,15 +541,15 @@ fn packet_sizes_are_the_cameras_or_refused_by_name() {
     let size = [("GevSCPSPacketSize", FeatureValue::Integer(1500))];
     let mut fake = with("GevSCPSPacketSize:int", &size);
     fake.habits.packets = Some(8164);
-    let told = set_up(&fake, &wanted()).expect("set up").told.join("; ");
-    assert!(told.contains("packet_bytes = 9000: the camera takes 8164 bytes"), "{told}");
+    let remarks = set_up(&fake, &wanted()).expect("set up").remarks.join("; ");
+    assert!(remarks.contains("packet_bytes = 9000: the camera takes 8164 bytes"), "{remarks}");
     fake.habits.packets = Some(0);
     let all = problems(set_up(&fake, &wanted())).join("\n");
     assert!(
         all.contains("GevSCPSPacketSize cannot be set to 9000: the camera refuses it (out of range)"),
         "{all}"
     );
-    assert!(all.contains("say packet_bytes = 8164") && !all.contains("power"), "{all}");
+    assert!(all.contains("set packet_bytes = 8164") && !all.contains("power"), "{all}");
 }
 
 #[test]
@@ -558,10 +570,10 @@ fn triggers_that_come_with_another_model_of_triggers_are_there_once_it_is_chosen
 }
 
 #[test]
-fn a_colour_sensor_that_sends_grey_is_told() {
+fn a_colour_sensor_that_sends_grey_gets_a_remark() {
     let filter = |value: &str| with("PixelColorFilter=None,BayerRG!ro", &[("PixelColorFilter", text(value))]);
-    let told = |fake: &Fake| set_up(fake, &wanted()).expect("set up").told.join("; ");
-    assert!(told(&filter("BayerRG")).contains("the sensor sees colours (PixelColorFilter is BayerRG)"));
-    assert!(!told(&filter("None")).contains("colours"));
-    assert!(told(&with("PixelFormat=Mono8,BayerRG8", &[])).contains("PixelFormat also has BayerRG8"));
+    let remarks = |fake: &Fake| set_up(fake, &wanted()).expect("set up").remarks.join("; ");
+    assert!(remarks(&filter("BayerRG")).contains("the sensor sees colours (PixelColorFilter is BayerRG)"));
+    assert!(!remarks(&filter("None")).contains("colours"));
+    assert!(remarks(&with("PixelFormat=Mono8,BayerRG8", &[])).contains("PixelFormat also has BayerRG8"));
 }

@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The thread that plays the HSU's part: the unit's state machine, with action commands for wires.
+//! The thread in place of the HSU: the unit's state machine, with action commands for wires.
 //!
-//! Its clock is this host's monotonic clock. Scheduled actions leave a while before their time: the state machine is
-//! told the trigger's time that early, and what it says of the trigger is held back until that time has come. So no
-//! report says of a trigger that will be that it was.
+//! Its clock is this host's monotonic clock. Scheduled actions are sent some time before their trigger: the state
+//! machine runs ahead by that time, and its reports are held back until the trigger's time has come. So no trigger is
+//! reported before it is fired.
 
+use super::ActionSetup;
 use super::pipe::{PipeReader, PipeWriter, pipe};
-use super::{ActionSetup, PRODUCT, request_id};
+use super::tally::request_id;
 use crate::base::time::monotonic_ns;
 use crate::host::realtime;
+use crate::hsu::conversation::ACTION_PRODUCT;
 use crate::network::{GVCP_PORT, action, action_reply};
 use crate::record::ACTION_UNIT;
 use hsu_firmware_proto::frame::{self, Decoder};
@@ -20,9 +22,9 @@ use std::io::{self, Write};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-/// Sleeping is only accurate to about this; the rest of the way to a trigger is spun.
+/// Accuracy of sleeping: the last of a wait for a trigger is a busy wait of this length.
 const SPIN: Duration = Duration::from_micros(100);
-/// Longest sleep.
+/// Longest sleep, after which answers of cameras are read.
 const NAP: Duration = Duration::from_millis(10);
 
 /// Starts the thread; it ends when the writer is dropped.
@@ -32,7 +34,8 @@ pub(super) fn start(setup: &ActionSetup) -> io::Result<(PipeReader, PipeWriter)>
     let (input, writer) = pipe();
     let (reader, output) = pipe();
     let lead = if setup.ptp.is_some() { setup.lead } else { Duration::ZERO };
-    let wires = Wires { setup: setup.clone(), socket, output, told: VecDeque::new(), now_ns: 0, last_ns: 0 };
+    let wires =
+        Wires { setup: setup.clone(), socket, output, reports: VecDeque::new(), now_ns: 0, last_ns: 0 };
     let lead_ns = u64::try_from(lead.as_nanos()).unwrap_or(0);
     let unit = Unit::new(identity());
     let engine = Engine { unit, wires, decoder: Decoder::new(), input, lead_ns, unit_ns: 0 };
@@ -41,34 +44,37 @@ pub(super) fn start(setup: &ActionSetup) -> io::Result<(PipeReader, PipeWriter)>
 }
 
 fn identity() -> Identity {
-    let number = |text: &str| text.parse().unwrap_or(0);
-    let firmware = [
-        number(env!("CARGO_PKG_VERSION_MAJOR")),
-        number(env!("CARGO_PKG_VERSION_MINOR")),
-        number(env!("CARGO_PKG_VERSION_PATCH")),
-    ];
-    Identity { name: NodeName::new(PRODUCT).unwrap_or(NodeName::NONE), unique_id: ACTION_UNIT, firmware }
+    let version =
+        [env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR"), env!("CARGO_PKG_VERSION_PATCH")];
+    let firmware = version.map(|number| number.parse().unwrap_or(0));
+    Identity {
+        name: NodeName::new(ACTION_PRODUCT).unwrap_or(NodeName::NONE),
+        unique_id: ACTION_UNIT,
+        firmware,
+    }
 }
 
+/// The thread in place of the HSU. [`start`] makes it; it owns the unit, and ends when the host's end of the pipe is
+/// dropped.
 struct Engine {
     unit: Unit,
     wires: Wires,
     decoder: Decoder,
     input: PipeReader,
-    /// Triggers are fired so long before their time.
+    /// Time by which triggers are fired ahead, ns.
     lead_ns: u64,
-    /// The latest time that the unit was told: its clock must not run backwards.
+    /// The latest time given to the unit, because its clock must not run backwards.
     unit_ns: u64,
 }
 
-/// What the unit acts on.
+/// The unit's outputs: action commands and messages.
 struct Wires {
     setup: ActionSetup,
     socket: UdpSocket,
     output: PipeWriter,
-    /// What the unit says by itself, and when it may be heard.
-    told: VecDeque<(u64, Vec<u8>)>,
-    /// What the unit takes for now.
+    /// Unasked messages of the unit, and the times at which they may be sent.
+    reports: VecDeque<(u64, Vec<u8>)>,
+    /// The current time of the unit's clock, ns.
     now_ns: u64,
     last_ns: u64,
 }
@@ -87,11 +93,11 @@ impl UnitOutputs for Wires {
             return self.output.write_all(framed).is_ok();
         }
         self.last_ns = self.last_ns.max(self.now_ns);
-        self.told.push_back((self.last_ns, framed.to_vec()));
+        self.reports.push_back((self.last_ns, framed.to_vec()));
         true
     }
 
-    /// There is no line that could be high.
+    /// There is no output line without an HSU.
     fn session_output(&mut self, _: bool) {}
 
     fn fire(&mut self, trigger: &TriggerRecord, _: &[HeadTiming]) {
@@ -99,7 +105,7 @@ impl UnitOutputs for Wires {
         let at_ns = self.setup.ptp.as_ref().map(|ptp| ptp.at(trigger.time_ns));
         let datagram = match at_ns {
             None => Some(action(id, self.setup.keys, None)),
-            // Without the clock there is no time to say; the trigger is nobody's, and shows as a gap.
+            // Without a synchronized clock no time can be given: nothing is sent, and the trigger becomes a gap.
             Some(at_ns) => at_ns.map(|at_ns| action(id, self.setup.keys, Some(at_ns))),
         };
         self.setup.tally.fires(trigger.number, trigger.time_ns);
@@ -113,9 +119,10 @@ impl UnitOutputs for Wires {
 }
 
 impl Wires {
-    fn tell(&mut self, now_ns: u64) {
-        while let Some((_, framed)) = self.told.pop_front_if(|(at_ns, _)| *at_ns <= now_ns) {
-            // A host that does not read finds the hole by the numbers.
+    /// Sends the reports whose time has come.
+    fn send_reports(&mut self, now_ns: u64) {
+        while let Some((_, framed)) = self.reports.pop_front_if(|(at_ns, _)| *at_ns <= now_ns) {
+            // A host that does not read finds the hole by the trigger numbers.
             let _ = self.output.write_all(&framed);
         }
     }
@@ -136,7 +143,7 @@ impl Engine {
         loop {
             self.keep_time();
             self.wires.take_answers();
-            self.wires.tell(monotonic_ns(Instant::now()));
+            self.wires.send_reports(monotonic_ns(Instant::now()));
             let Some(bytes) = self.input.wait(self.nap()) else { return };
             let now_ns = monotonic_ns(Instant::now());
             self.wires.now_ns = now_ns;
@@ -147,8 +154,8 @@ impl Engine {
         }
     }
 
-    /// Fires what is due. A trigger that leaves early enough has exactly its time; one that this thread was too late for
-    /// is moved, and the unit says that it is late.
+    /// Fires the triggers that are due. A trigger that is sent early enough has exactly its time; one for which this
+    /// thread was too late is moved, and flagged as late.
     fn keep_time(&mut self) {
         let now_ns = monotonic_ns(Instant::now());
         let due_ns = self.unit.next_due();
@@ -160,13 +167,13 @@ impl Engine {
         self.unit.tick(self.unit_ns, &mut self.wires);
     }
 
-    /// How long nothing is due; the last of it before a trigger is spun.
+    /// Time until something is due; the last of it before a trigger is a busy wait.
     fn nap(&self) -> Duration {
         let now_ns = monotonic_ns(Instant::now());
         let due_ns = self.unit.next_due().saturating_sub(self.lead_ns);
-        let told_ns = self.wires.told.front().map_or(u64::MAX, |(at_ns, _)| *at_ns);
-        let left = Duration::from_nanos(due_ns.min(told_ns).saturating_sub(now_ns)).min(NAP);
-        let exact = self.unit.state() == State::Running && self.lead_ns == 0 && due_ns < told_ns;
+        let report_ns = self.wires.reports.front().map_or(u64::MAX, |(at_ns, _)| *at_ns);
+        let left = Duration::from_nanos(due_ns.min(report_ns).saturating_sub(now_ns)).min(NAP);
+        let exact = self.unit.state() == State::Running && self.lead_ns == 0 && due_ns < report_ns;
         if exact && left <= SPIN {
             while monotonic_ns(Instant::now()) < due_ns {
                 std::hint::spin_loop();

@@ -3,7 +3,8 @@
 //!
 //! The unit's own state machine (`hsu_firmware_proto::Unit`) runs on a thread of the node, behind a link of the same
 //! messages. So arming, exactly N triggers, the rhythm of the warm-up and every report are as with an HSU.
-//! `docs/design/action-triggers.md` says what holds and what does not.
+//! The guarantees are in
+//! `docs/design/action-triggers.md`.
 
 mod engine;
 mod pipe;
@@ -16,36 +17,34 @@ pub use ptp_clock::PtpClock;
 pub use tally::ActionTally;
 
 use super::error::HsuError;
-use super::unit::{Hsu, HsuTimeouts};
+use super::link::HsuTimeouts;
+use super::unit::Hsu;
 use crate::base::ids::{CameraId, NodeId};
 use crate::config::{ActionConfig, NodeConfig};
 use crate::network::ActionKeys;
 use std::net::Ipv4Addr;
 use std::time::Duration;
 
-/// The product name of what plays the HSU's part.
-pub const PRODUCT: &str = "fourdbody-action";
-
-/// Scheduled actions leave so long before their time at most.
+/// Longest time by which scheduled actions are sent ahead.
 const LEAD_MOST: Duration = Duration::from_millis(10);
 
-/// Everything that action commands need.
+/// The parameters of action commands, from the node file.
 #[derive(Debug, Clone)]
 pub struct ActionSetup {
     /// The cameras with their addresses, in the node's order.
     pub cameras: Vec<(CameraId, Ipv4Addr)>,
-    /// Which keys they have.
+    /// Device key, group key and group mask of the cameras.
     pub keys: ActionKeys,
-    /// The clock that the cameras share; `None`: each acts when the packet reaches it.
+    /// The clock that the cameras share by PTP; `None`: each camera acts when the packet reaches it.
     pub ptp: Option<PtpClock>,
-    /// What became of the commands.
+    /// Counts of the commands by camera.
     pub tally: ActionTally,
-    /// Scheduled actions leave so long before their time.
+    /// Time by which scheduled actions are sent ahead.
     lead: Duration,
 }
 
 impl ActionSetup {
-    /// As a node file says; cameras without an IPv4 address are refused by the file's check.
+    /// The parameters of a node file, whose check refuses cameras without an IPv4 address.
     pub fn of(config: &NodeConfig, action: ActionConfig) -> Self {
         let address = |camera: &crate::config::CameraConfig| {
             Some((camera.id.clone(), camera.address.parse::<Ipv4Addr>().ok()?))
@@ -61,19 +60,13 @@ impl ActionSetup {
         }
     }
 
-    /// Starts a unit of its own and greets it as this node; it ends with the link.
+    /// Starts a unit in this process and greets it as this node; it ends with the link.
     pub(super) fn connect(&self, role: &NodeId, timeouts: &HsuTimeouts) -> Result<Hsu, HsuError> {
         let device = "action commands".to_owned();
         let (reader, writer) = engine::start(self)
             .map_err(|error| HsuError::Io { device: device.clone(), cause: error.to_string() })?;
         Hsu::over(reader, writer, device, role, timeouts)
     }
-}
-
-/// The id of the command for a trigger: ids count the triggers, and 0 is none.
-pub fn request_id(number: i64) -> u16 {
-    // Below 65535, so that one more fits.
-    u16::try_from(number.rem_euclid(i64::from(u16::MAX))).unwrap_or(0) + 1
 }
 
 #[cfg(test)]

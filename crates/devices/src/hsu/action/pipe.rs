@@ -5,29 +5,29 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounde
 use std::io::{self, ErrorKind, Read, Write};
 use std::time::Duration;
 
-/// Messages that wait: over a second of triggers at any rate.
+/// Room for messages: over a second of triggers at any rate.
 const MESSAGES: usize = 4096;
-/// How often a reader looks whether it is to stop.
+/// Longest wait of a reader before it checks whether to stop.
 const READ_PAUSE: Duration = Duration::from_millis(20);
 
-/// Where bytes come out.
+/// The end of a pipe where bytes come out.
 pub(super) struct PipeReader {
     messages: Receiver<Vec<u8>>,
     rest: Vec<u8>,
 }
 
-/// Where bytes go in.
+/// The end of a pipe where bytes go in.
 #[derive(Clone)]
 pub(super) struct PipeWriter(Sender<Vec<u8>>);
 
-/// A pipe: its two ends.
+/// Makes a pipe, and gives its two ends.
 pub(super) fn pipe() -> (PipeReader, PipeWriter) {
     let (writer, messages) = bounded(MESSAGES);
     (PipeReader { messages, rest: Vec::new() }, PipeWriter(writer))
 }
 
 impl PipeReader {
-    /// What comes within this time; `None`: the other end is gone.
+    /// The next bytes, empty after this time; `None`: the other end was dropped.
     pub(super) fn wait(&self, patience: Duration) -> Option<Vec<u8>> {
         match self.messages.recv_timeout(patience) {
             Ok(bytes) => Some(bytes),

@@ -1,25 +1,25 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whether every camera answers an action command with its keys, asked before a session: no camera acquires then.
+//! Checks before a session that every camera answers an action command with its keys. No camera acquires at that time.
 
 use super::ActionSetup;
 use crate::base::ids::CameraId;
-use crate::network::{ActionStatus, GVCP_PORT, action, action_reply};
+use crate::network::{ActionStatus, GVCP_PORT, action, action_reply, receive_until};
 use std::io;
-use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::net::{Ipv4Addr, UdpSocket};
 use std::time::{Duration, Instant};
 
-/// An answer comes within this, or the packet was lost.
+/// Longest wait for an answer; without one the packet was lost.
 const PATIENCE: Duration = Duration::from_millis(200);
-/// A packet may get lost.
+/// How often the command is sent, because packets may get lost.
 const ATTEMPTS: u16 = 3;
-/// Ids that no trigger near the beginning of a session has.
+/// First command id of the check; no trigger near the beginning of a session has it.
 const FIRST_ID: u16 = 0x8000;
 
 impl ActionSetup {
-    /// Sends each camera one action that is done at once; gives those that do not take it, with what to do.
+    /// Sends each camera one immediate action. Gives the cameras that do not accept it, with the reason and the remedy.
     ///
     /// # Errors
-    /// This host's network refuses.
+    /// This host cannot send to its network.
     pub fn probe(&self) -> io::Result<Vec<(CameraId, String)>> {
         let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
         let mut troubles = Vec::new();
@@ -28,55 +28,31 @@ impl ActionSetup {
             for attempt in 0..ATTEMPTS {
                 let request = FIRST_ID + attempt;
                 socket.send_to(&action(request, self.keys, None), (*address, GVCP_PORT))?;
-                answer = wait(&socket, *address, request)?;
+                answer = receive_until(&socket, Instant::now() + PATIENCE, |bytes, from| {
+                    let (answered, status) = action_reply(bytes)?;
+                    (from == *address && answered == request).then_some(status)
+                })?;
                 if answer.is_some() {
                     break;
                 }
             }
+            let found = match answer {
+                Some(ActionStatus::Taken) => continue,
+                Some(status) => format!("is answered with {status:?}, expected Taken"),
+                None => format!(
+                    "has no answer, {ATTEMPTS} times within {} ms: check ActionDeviceKey, ActionGroupKey and \
+                     ActionGroupMask \
+                     (also in `settings`), and whether a firewall blocks UDP port {GVCP_PORT}",
+                    PATIENCE.as_millis()
+                ),
+            };
             let keys = self.keys;
-            let sent = format!(
-                "an action command with device key {}, group key {} and group mask {:#x}",
+            let text = format!(
+                "an action command with device key {}, group key {} and group mask {:#x} {found}",
                 keys.device, keys.group, keys.mask
             );
-            match answer {
-                Some(ActionStatus::Taken) => {}
-                Some(status) => troubles.push((id.clone(), format!("{sent} is answered {status:?}, expected Taken"))),
-                None => troubles.push((
-                    id.clone(),
-                    format!(
-                        "{sent} is not answered, {ATTEMPTS} times within {} ms: ActionDeviceKey, ActionGroupKey or \
-                         ActionGroupMask is otherwise (in `settings`?), or the network keeps UDP port {GVCP_PORT} from it",
-                        PATIENCE.as_millis()
-                    ),
-                )),
-            }
+            troubles.push((id.clone(), text));
         }
         Ok(troubles)
-    }
-}
-
-fn wait(socket: &UdpSocket, from: Ipv4Addr, id: u16) -> io::Result<Option<ActionStatus>> {
-    let until = Instant::now() + PATIENCE;
-    let mut buffer = [0; 64];
-    loop {
-        let left = until.saturating_duration_since(Instant::now());
-        if left.is_zero() {
-            return Ok(None);
-        }
-        socket.set_read_timeout(Some(left))?;
-        match socket.recv_from(&mut buffer) {
-            Ok((length, SocketAddr::V4(sender))) if *sender.ip() == from => {
-                if let Some((_, status)) =
-                    action_reply(&buffer[..length]).filter(|(answered, _)| *answered == id)
-                {
-                    return Ok(Some(status));
-                }
-            }
-            Ok(_) => {}
-            Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {}
-            // Its host says that nobody listens.
-            Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => return Ok(None),
-            Err(error) => return Err(error),
-        }
     }
 }

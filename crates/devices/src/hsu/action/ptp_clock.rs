@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The clock that PTP gives all cameras, as this host knows it: by reading it from one of them.
+//! The clock that all cameras share by PTP, as this host knows it from readings of one camera.
 
 use crate::base::clock_fit::{ClockFit, Exchange};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Shared by who reads the clock and who schedules by it. Host times are those of
-/// [`crate::base::time::monotonic_ns`].
+/// A fit of the cameras' clock, shared by the thread that reads it and the one that schedules actions. Host times are
+/// those of [`crate::base::time::monotonic_ns`].
 #[derive(Debug, Clone, Default)]
 pub struct PtpClock(Arc<Mutex<ClockFit>>);
 
@@ -14,18 +14,18 @@ impl PtpClock {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Forgets what was read: the clocks may have been set since.
+    /// Forgets all readings, because the clocks may have been set since.
     pub fn forget(&self) {
         *self.fit() = ClockFit::new();
     }
 
-    /// Takes a reading into account.
+    /// Adds a reading to the fit.
     pub fn read(&self, exchange: &Exchange) {
-        // What does not fit is left out; a clock that was set anew is found by the fit itself.
+        // The fit leaves out readings that do not fit, and detects a clock that was set.
         let _ = self.fit().exchange(exchange);
     }
 
-    /// What the cameras' clock shows at a time of this host, ns; `None` before it was read.
+    /// The cameras' time at a time of this host, ns; `None` before the first reading.
     pub fn at(&self, host_ns: u64) -> Option<u64> {
         u64::try_from(self.fit().device_from_host(host_ns.into())?).ok()
     }

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What became of the action commands, by camera: each is sent once, and acknowledged once at most.
+//! Counts of the action commands by camera: each is sent once, and acknowledged at most once.
 
-use super::request_id;
 use super::untimely::Untimely;
 use crate::base::ids::CameraId;
 use crate::base::time::monotonic_ns;
@@ -12,7 +11,13 @@ use std::net::Ipv4Addr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Commands whose answer may still come.
+/// The command id for a trigger: ids count the triggers, and 0 is not used.
+pub(super) fn request_id(number: i64) -> u16 {
+    // The remainder is below 65535, so that one more fits into 16 bits.
+    u16::try_from(number.rem_euclid(i64::from(u16::MAX))).unwrap_or(0) + 1
+}
+
+/// Most commands per camera whose answer may still come.
 const OUTSTANDING: usize = 256;
 
 #[derive(Debug)]
@@ -21,19 +26,19 @@ struct Camera {
     address: Ipv4Addr,
     counts: ActionCounts,
     untimely: Untimely,
-    /// Ids with their triggers.
+    /// Command ids without an answer yet, with their triggers.
     outstanding: VecDeque<(u16, i64)>,
 }
 
 #[derive(Debug)]
 struct Train {
     cameras: Vec<Camera>,
-    /// The newest trigger and its time, by this host's monotonic clock.
+    /// The newest trigger and its time on this host's monotonic clock, ns.
     newest: Option<(i64, u64)>,
 }
 
 impl Train {
-    /// The first trigger that is not exposed yet: all, before the first one.
+    /// The first trigger that is not exposed yet; the least number before the first one.
     fn unexposed(&self) -> i64 {
         match self.newest {
             None => i64::MIN,
@@ -47,7 +52,7 @@ impl Train {
     }
 }
 
-/// Counts of all cameras, shared by who sends, who watches PTP, and who tells.
+/// Counts of all cameras, shared by the thread that sends, the one that watches PTP, and the one that reports.
 #[derive(Debug, Clone)]
 pub struct ActionTally(Arc<Mutex<Train>>);
 
@@ -68,7 +73,7 @@ impl ActionTally {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Counts from nothing again.
+    /// Sets all counts to zero for a new session.
     pub fn begin(&self) {
         let mut train = self.train();
         train.newest = None;
@@ -79,12 +84,12 @@ impl ActionTally {
         }
     }
 
-    /// The commands of a trigger are about to be sent; its time is this host's monotonic clock's.
+    /// Notes a trigger whose commands are about to be sent, with its time on this host's monotonic clock, ns.
     pub(super) fn fires(&self, number: i64, at_ns: u64) {
         self.train().newest = Some((number, at_ns));
     }
 
-    /// The command of a trigger was sent to the camera at this place, or not.
+    /// Counts a trigger's command to the camera at this place; `sent`: whether this host could send it.
     pub(super) fn sent(&self, place: usize, number: i64, sent: bool) {
         let mut train = self.train();
         let Some(camera) = train.cameras.get_mut(place) else { return };
@@ -100,7 +105,7 @@ impl ActionTally {
         }
     }
 
-    /// A camera answered. An answer that comes twice counts once: a network may double a packet.
+    /// Counts a camera's answer. An answer that comes twice counts once, because a network may duplicate a packet.
     pub(super) fn answered(&self, from: Ipv4Addr, id: u16, status: ActionStatus) {
         let mut train = self.train();
         let Some(camera) = train.cameras.iter_mut().find(|camera| camera.address == from) else { return };
@@ -115,33 +120,33 @@ impl ActionTally {
         camera.untimely.answered(number, status);
     }
 
-    /// The first trigger that is not exposed yet: to be read before a camera's PTP status is.
+    /// The first trigger that is not exposed yet; to be read before a camera's PTP status is requested.
     pub fn unexposed(&self) -> i64 {
         self.train().unexposed()
     }
 
-    /// A camera's PTP status was read; before that, `asked` was the first trigger not exposed yet.
-    pub fn ptp(&self, camera: &CameraId, status: &str, asked: i64) {
+    /// Notes a camera's PTP status; `requested` was the first unexposed trigger when the status was requested.
+    pub fn ptp(&self, camera: &CameraId, status: &str, requested: i64) {
         let mut train = self.train();
         let now = train.unexposed();
         if let Some(camera) = train.camera(camera) {
-            camera.untimely.ptp(status, asked, now);
+            camera.untimely.ptp(status, requested, now);
         }
     }
 
-    /// A camera was lost, and its PTP status does not hold any more.
+    /// Notes that a camera was lost: its PTP status is not known any more.
     pub fn lost(&self, camera: &CameraId) {
         if let Some(camera) = self.train().camera(camera) {
             camera.untimely.lost();
         }
     }
 
-    /// The counts so far.
+    /// The counts of each camera so far.
     pub fn counts(&self) -> Vec<(CameraId, ActionCounts)> {
         self.train().cameras.iter().map(|camera| (camera.id.clone(), camera.counts)).collect()
     }
 
-    /// Triggers of the train at which a camera did not, or may not have, exposed at the time of the others, with the reason.
+    /// Triggers at which a camera did not, or may not have, exposed at the same time as the others, with the reason.
     pub fn untimely(&self) -> Vec<(CameraId, TriggerRow, String)> {
         let train = self.train();
         let now = train.unexposed();

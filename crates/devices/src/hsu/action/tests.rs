@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The unit in the process, with a socket for a camera: each trigger is one command, reported when its time has come.
 
-use super::{ActionSetup, ActionTally, PtpClock, request_id};
+use super::tally::request_id;
+use super::{ActionSetup, ActionTally, PtpClock};
 use crate::base::clock_fit::Exchange;
 use crate::base::ids::{CameraId, NodeId};
 use crate::base::time::monotonic_ns;
@@ -25,7 +26,7 @@ fn setup(address: Ipv4Addr, ptp: Option<PtpClock>) -> ActionSetup {
     }
 }
 
-/// Fires so many triggers; gives their reports with when each was heard.
+/// Fires triggers; gives their numbers and times, and when each report arrived.
 fn train(setup: &ActionSetup, triggers: u64) -> Vec<(i64, u64, u64)> {
     let role = NodeId("a".to_owned());
     let hsu = setup.connect(&role, &HsuTimeouts::default()).expect("a unit");
@@ -43,15 +44,15 @@ fn fire(hsu: &Hsu, role: NodeId, triggers: u64) -> Vec<(i64, u64, u64)> {
     let arm = ArmRequest { session: SESSION, triggers: Some(triggers), warm_up: 3, nodes: vec![role] };
     hsu.arm(&arm).expect("armed");
     hsu.start(SESSION).expect("started");
-    let mut heard = Vec::new();
+    let mut reports = Vec::new();
     loop {
         match hsu.events().recv_timeout(Duration::from_secs(20)).expect("an event") {
             HsuEvent::Trigger { trigger, .. } => {
-                heard.push((trigger.number, trigger.time_ns, monotonic_ns(Instant::now())));
+                reports.push((trigger.number, trigger.time_ns, monotonic_ns(Instant::now())));
             }
             HsuEvent::Done { emitted, reason, .. } => {
                 assert_eq!((emitted, reason), (triggers, EndReason::Completed));
-                return heard;
+                return reports;
             }
             _ => {}
         }
@@ -73,12 +74,12 @@ fn received(socket: &UdpSocket) -> Vec<Vec<u8>> {
 fn at_once_each_trigger_is_one_command_and_one_report() {
     let socket = camera(Ipv4Addr::new(127, 0, 136, 1));
     let setup = setup(Ipv4Addr::new(127, 0, 136, 1), None);
-    let heard = train(&setup, 5);
-    assert_eq!(heard.iter().map(|(number, ..)| *number).collect::<Vec<_>>(), (-3..5).collect::<Vec<_>>());
+    let reports = train(&setup, 5);
+    assert_eq!(reports.iter().map(|(number, ..)| *number).collect::<Vec<_>>(), (-3..5).collect::<Vec<_>>());
     let expected: Vec<Vec<u8>> = (-3..5).map(|n| action(request_id(n), setup.keys, None)).collect();
     assert_eq!(received(&socket), expected);
     let (_, tally) = setup.tally.counts().remove(0);
-    assert_eq!((tally.sent, tally.acknowledged, tally.unanswered), (8, 0, 8), "nobody answered");
+    assert_eq!((tally.sent, tally.acknowledged, tally.unanswered), (8, 0, 8), "no camera answered");
 }
 
 #[test]
@@ -93,20 +94,17 @@ fn scheduled_a_command_has_its_triggers_time_and_no_report_comes_before_it() {
         ptp.read(&Exchange { host_send_ns: now, host_receive_ns: now + 2, device_ns: now + 1 + ahead });
         std::thread::sleep(Duration::from_millis(2));
     }
-    let heard = train(&setup, 4);
-    for (number, time_ns, heard_ns) in &heard {
-        assert!(heard_ns >= time_ns, "trigger {number} was reported {} ns early", time_ns - heard_ns);
+    let reports = train(&setup, 4);
+    for (number, time_ns, arrived_ns) in &reports {
+        assert!(arrived_ns >= time_ns, "trigger {number} was reported {} ns early", time_ns - arrived_ns);
     }
     let packets = received(&socket);
-    assert_eq!(packets.len(), heard.len());
-    for ((number, time_ns, _), packet) in heard.iter().zip(packets) {
+    assert_eq!(packets.len(), reports.len());
+    for ((number, time_ns, _), packet) in reports.iter().zip(packets) {
         let at = packet.get(20..).and_then(|rest| rest.first_chunk()).map(|rest| u64::from_be_bytes(*rest));
         let at = at.expect("a time");
         assert_eq!(packet, action(request_id(*number), setup.keys, Some(at)));
-        assert!(
-            at.abs_diff(time_ns + ahead) < 100_000,
-            "trigger {number} at {at}, its report says {time_ns}"
-        );
+        assert!(at.abs_diff(time_ns + ahead) < 100_000, "trigger {number} at {at}, its report has {time_ns}");
     }
 }
 
@@ -152,7 +150,7 @@ fn answers_are_counted_once_and_what_came_late_is_named_with_its_trigger() {
     assert_eq!(named(&tally), [(65_535, 65_535)], "the other one was of the warm-up");
     tally.begin();
     assert_eq!(named(&tally), []);
-    // PTP: what was not exposed when the last good status was asked for, up to what is not when the next one comes.
+    // PTP: what was not exposed when the last good status was requested, up to what is not when the next one comes.
     assert_eq!(tally.unexposed(), i64::MIN);
     tally.ptp(&id, "Slave", tally.unexposed());
     fire(4, 0);

@@ -1,30 +1,30 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Triggers at which a camera did not, or may not have, exposed at the time of the others.
+//! Triggers at which a camera did not, or may not have, exposed at the same time as the others.
 //!
-//! A camera reports that a command came late, or refuses it; or PTP no longer keeps the clock by which it acts. Numbers are
-//! those of the train; what the warm-up missed is of no recording.
+//! A camera reports that a command came late, or refuses it; or its clock is not synchronized by PTP. Triggers of the
+//! warm-up are left out, because they are not recorded.
 
 use crate::network::ActionStatus;
 use crate::record::{TriggerRow, TriggerRows, ptp_keeps};
 
-/// What one camera missed. Its size is bounded: by reason, each as [`TriggerRows`].
+/// The untimely triggers of one camera, by reason. The size is bounded by [`TriggerRows`].
 #[derive(Debug, Clone, Default)]
 pub(super) struct Untimely {
     late: TriggerRows,
     refused: TriggerRows,
-    /// The first refusal.
+    /// The camera's first refusal of a command.
     refusal: Option<ActionStatus>,
     unkept: TriggerRows,
-    /// The first status by which PTP did not keep its clock.
+    /// The first PTP status without synchronization.
     status: Option<String>,
     /// The first trigger that was not exposed yet when the last good status was read.
     good_from: Option<i64>,
-    /// The first trigger behind the last good status, while PTP does not keep its clock.
+    /// The first trigger behind the last good status, while the clock is not synchronized.
     bad_from: Option<i64>,
 }
 
 impl Untimely {
-    /// The camera answered the command of a trigger.
+    /// Notes the camera's answer to the command of a trigger.
     pub(super) fn answered(&mut self, number: i64, status: ActionStatus) {
         let rows = match status {
             ActionStatus::Taken => return,
@@ -37,32 +37,32 @@ impl Untimely {
         add(rows, number, number.saturating_add(1));
     }
 
-    /// The camera's PTP status was read. Before that, `asked` was the first trigger that was not exposed yet; `now` is the first
-    /// one that is not exposed yet by the time of the answer.
-    pub(super) fn ptp(&mut self, status: &str, asked: i64, now: i64) {
+    /// Notes the camera's PTP status. `requested` and `now` are the first unexposed triggers when the status was
+    /// requested and when it was received.
+    pub(super) fn ptp(&mut self, status: &str, requested: i64, now: i64) {
         if ptp_keeps(status) {
             if let Some(from) = self.bad_from.take() {
                 add(&mut self.unkept, from, now);
             }
-            self.good_from = Some(asked);
+            self.good_from = Some(requested);
         } else {
             self.status.get_or_insert_with(|| status.to_owned());
-            self.bad_from.get_or_insert(self.good_from.unwrap_or(asked));
+            self.bad_from.get_or_insert(self.good_from.unwrap_or(requested));
         }
     }
 
-    /// The camera was lost, and its PTP status does not hold any more.
+    /// Notes that the camera was lost: its PTP status is not known any more.
     pub(super) fn lost(&mut self) {
         self.good_from = None;
     }
 
-    /// Rows and reasons; `now` is the first trigger that is not exposed yet.
+    /// The untimely triggers and their reasons; `now` is the first unexposed trigger.
     pub(super) fn rows(&self, now: i64) -> Vec<(TriggerRow, String)> {
         let mut unkept = self.unkept.clone();
         if let Some(from) = self.bad_from {
             add(&mut unkept, from, now);
         }
-        let late = "its action command came late (0x8016) and was done at once".to_owned();
+        let late = "its action command came late (0x8016) and was carried out at once".to_owned();
         let refused = match self.refusal {
             Some(ActionStatus::NoTime) => {
                 "the camera refused an action command: no reference time (0x8013)".to_owned()
@@ -76,7 +76,7 @@ impl Untimely {
             _ => String::new(),
         };
         let unkept_by = format!(
-            "its PTP status was {}, expected Slave or Master; it acted by a clock that nobody vouches for",
+            "its PTP status was {}, expected Slave or Master: its clock may not have been synchronized",
             self.status.as_deref().unwrap_or_default()
         );
         let all = [(&self.late, late), (&self.refused, refused), (&unkept, unkept_by)];
@@ -84,7 +84,7 @@ impl Untimely {
     }
 }
 
-/// Adds the triggers from `from` up to `to`, as far as they are the session's.
+/// Adds the triggers from `from` up to `to`, without those of the warm-up.
 fn add(rows: &mut TriggerRows, from: i64, to: i64) {
     let first = u64::try_from(from).unwrap_or(0);
     if let Some(last) = u64::try_from(to).ok().and_then(|to| to.checked_sub(1)).filter(|last| *last >= first)
@@ -98,7 +98,7 @@ mod tests {
     use super::Untimely;
     use crate::network::ActionStatus;
 
-    /// Rows with a word of their reasons.
+    /// Rows, each with a part of its reason.
     fn rows(untimely: &Untimely, now: i64) -> Vec<(u64, u64, &'static str)> {
         let word = |why: &str| {
             ["0x8016", "0x8013", "0x8001", "Listening"]
