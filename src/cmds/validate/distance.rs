@@ -134,24 +134,17 @@ fn print(args: &Args, rows: &[Row], missing: &[Missing]) {
         return;
     }
     println!(
-        "{:<6} {:>7} {:>17} {:>12} {:>9} {:>9} {:>7}  error of each camera mm",
-        "head", "trigger", "circles", "measured mm", "error mm", "edges mm", "rest %"
+        "head   trigger           circles  measured mm  error mm  edges mm  rest %  error of each camera mm"
     );
-    for row in rows {
-        let d = &row.diagonals;
+    for Row { head, trigger, diagonals: d, .. } in rows {
         for i in 0..2 {
-            let [from, to] = d.ends[i];
+            let [from, to] = d.ends[i].map(|[column, row]| format!("{column},{row}"));
+            let circles = format!("{from} to {to}");
+            let (measured, error, edges) = (d.diagonal_mm[i], d.error_mm[i], d.edges_mm[i]);
             let each: Vec<String> = d.error_of_camera_mm.iter().map(|e| format!("{:+.3}", e[i])).collect();
+            let (rest, each) = (100.0 * d.edge_rms, each.join(" "));
             println!(
-                "{:<6} {:>7} {:>17} {:>12.3} {:>+9.3} {:>+9.3} {:>7.2}  {}",
-                row.head,
-                row.trigger,
-                format!("{},{} to {},{}", from[0], from[1], to[0], to[1]),
-                d.diagonal_mm[i],
-                d.error_mm[i],
-                d.edges_mm[i],
-                100.0 * d.edge_rms,
-                each.join(" ")
+                "{head:<6} {trigger:>7} {circles:>17} {measured:>12.3} {error:>+9.3} {edges:>+9.3} {rest:>7.2}  {each}"
             );
         }
     }

@@ -101,34 +101,14 @@ fn print(json: bool, rows: &[Row]) {
         return;
     }
     println!(
-        "{:<16} {:>7} {:>7} {:>10} {:>10} {:>9} {:>7} {:>7} {:>7} {:>7} {:>8}",
-        "girth",
-        "height",
-        "trigger",
-        "contour mm",
-        "hull mm",
-        "differ mm",
-        "points",
-        "out",
-        "rms mm",
-        "gap mm",
-        "folded %"
+        "girth             height trigger contour mm    hull mm differ mm  points     out  rms mm  gap mm folded %"
     );
-    for row in rows {
-        let g = &row.girth;
+    for Row { name, height_m, trigger, girth, difference_mm, .. } in rows {
+        let Loop { contour_mm, hull_mm, points, left_out, rms_mm, gap_mm, folded_share, .. } = girth;
+        let differ = difference_mm.map_or("-".to_owned(), |d| format!("{d:+.2}"));
+        let folded = 100.0 * folded_share;
         println!(
-            "{:<16} {:>7.3} {:>7} {:>10.2} {:>10.2} {:>9} {:>7} {:>7} {:>7.3} {:>7.1} {:>8.1}",
-            row.name,
-            row.height_m,
-            row.trigger,
-            g.contour_mm,
-            g.hull_mm,
-            row.difference_mm.map_or("-".to_owned(), |d| format!("{d:+.2}")),
-            g.points,
-            g.left_out,
-            g.rms_mm,
-            g.gap_mm,
-            100.0 * g.folded_share
+            "{name:<16} {height_m:>7.3} {trigger:>7} {contour_mm:>10.2} {hull_mm:>10.2} {differ:>9} {points:>7} {left_out:>7} {rms_mm:>7.3} {gap_mm:>7.1} {folded:>8.1}"
         );
     }
     if let (Some(mean), Some(max)) = (mean_mm, max_mm) {

@@ -6,6 +6,7 @@ use crate::base::Exit;
 use crate::calibrate::Board;
 use crate::cmds::failure::Failure;
 use crate::data::Cloud;
+use crate::validate::deviations::Deviations;
 use crate::validate::plane::{Flatness, flatness};
 use crate::validate::ring::{Organized, place};
 use nalgebra::Point3;
@@ -94,37 +95,15 @@ fn print(json: bool, per_camera: &[Row], per_head: &[Row]) {
         return;
     }
     println!(
-        "{:<10} {:>7} {:>9} {:>8} {:>9} {:>8} {:>8} {:>10} {:>8} {:>8} {:>8} {:>9}  found by",
-        "",
-        "trigger",
-        "points",
-        "rms mm",
-        "robust mm",
-        "p95 mm",
-        "peak mm",
-        "w. edge mm",
-        "left out",
-        "edge",
-        "used %",
-        "elsewhere"
+        "           trigger    points   rms mm robust mm   p95 mm  peak mm w. edge mm left out     edge   used % elsewhere  found by"
     );
-    for row in per_camera.iter().chain(per_head) {
-        let (f, d) = (&row.flatness, &row.flatness.deviations);
+    for Row { camera, head, trigger, found_by, flatness } in per_camera.iter().chain(per_head) {
+        let name = camera.as_ref().unwrap_or(head);
+        let Flatness { left_out, edge, rms_with_edge_mm, elsewhere, .. } = flatness;
+        let Deviations { points, rms_mm, robust_mm, p95_mm, peak_mm, .. } = flatness.deviations;
+        let used = 100.0 * flatness.used_share;
         println!(
-            "{:<10} {:>7} {:>9} {:>8.4} {:>9.4} {:>8.3} {:>8.3} {:>10.4} {:>8} {:>8} {:>8.2} {:>9}  {}",
-            row.camera.as_ref().unwrap_or(&row.head),
-            row.trigger,
-            d.points,
-            d.rms_mm,
-            d.robust_mm,
-            d.p95_mm,
-            d.peak_mm,
-            f.rms_with_edge_mm,
-            f.left_out,
-            f.edge,
-            100.0 * f.used_share,
-            f.elsewhere,
-            row.found_by
+            "{name:<10} {trigger:>7} {points:>9} {rms_mm:>8.4} {robust_mm:>9.4} {p95_mm:>8.3} {peak_mm:>8.3} {rms_with_edge_mm:>10.4} {left_out:>8} {edge:>8} {used:>8.2} {elsewhere:>9}  {found_by}"
         );
     }
     println!("mean of heads and triggers: {rms_mm:.4} mm");
