@@ -2,7 +2,7 @@
 //! What an operator should do better next time, from how a calibration went.
 
 use super::findings::Kind;
-use super::run::Outcome;
+use super::run::{Outcome, seen_positions, with_first_device};
 use crate::data::Calibration;
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
@@ -54,23 +54,14 @@ pub fn advice(outcome: &Outcome) -> Vec<String> {
 
 fn of_cameras(outcome: &Outcome, calibration: &Calibration) -> Vec<String> {
     let mut advice = Vec::new();
-    let mut device = 0;
-    for (head, result) in calibration.heads.iter().zip(&outcome.heads) {
-        for camera in &head.cameras {
-            let boards: BTreeSet<usize> = outcome
-                .together
-                .observations
-                .iter()
-                .filter(|o| o.device == device)
-                .map(|o| o.board)
-                .collect();
-            if boards.len() < result.positions.len() {
+    for ((head, first), result) in with_first_device(&calibration.heads).zip(&outcome.heads) {
+        for (device, camera) in (first..).zip(&head.cameras) {
+            let (boards, all) =
+                (seen_positions(&outcome.together.observations, device), result.positions.len());
+            if boards < all {
                 advice.push(format!(
-                    "camera {} saw the board in {} of {} positions: place it where both cameras of {} see it",
-                    camera.id,
-                    boards.len(),
-                    result.positions.len(),
-                    head.id
+                    "camera {} saw the board in {boards} of {all} positions: place it where both cameras of {} see it",
+                    camera.id, head.id
                 ));
             }
             let cells = coverage(outcome, device, (camera.device.width, camera.device.height));
@@ -84,9 +75,7 @@ fn of_cameras(outcome: &Outcome, calibration: &Calibration) -> Vec<String> {
                     emptiest_side(&cells)
                 ));
             }
-            device += 1;
         }
-        device += 1;
     }
     advice
 }

@@ -5,6 +5,7 @@
 
 use super::board::Board;
 use crate::base::image::Plane;
+use crate::base::print::html;
 use std::fmt::Write as _;
 
 /// To be printed at scale 1; circles as designed or as measured, whatever the board file has.
@@ -13,7 +14,7 @@ pub fn svg(board: &Board) -> String {
     let mut text = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}mm\" height=\"{height}mm\" viewBox=\"0 0 {width} {height}\">\n\
          <title>{}</title>\n<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n",
-        board.name.replace('&', "&amp;").replace('<', "&lt;")
+        html(&board.name)
     );
     for circle in board.circles() {
         let [x, y, _] = circle.centre_m;
@@ -110,7 +111,7 @@ mod tests {
             }
         }
         let error = identify(&find_spots(Mono8::from(&mirrored)), &board).expect_err("mirrored");
-        assert!(error.to_string().contains("mirrored"), "{error}");
+        assert_eq!(error.kind, crate::Kind::Mirrored, "{error:?}");
     }
 
     #[test]

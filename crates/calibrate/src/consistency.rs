@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Does an adjusted head make sense: do all positions agree, are the residuals small, is the size that of the rig file?
 
+use super::estimate::median;
 use super::findings::{Finding, Kind};
 use super::positions::Position;
 use super::stages::{HeadResult, Rigging, StageError};
-use super::views::median;
 use std::collections::BTreeSet;
 
 /// Views, by camera (place in its head) and position, that are left out of an adjustment.
@@ -22,11 +22,6 @@ const CIRCLES_PX: f64 = 0.1;
 const PHASES_PX: f64 = 0.1;
 
 impl Excluded {
-    /// All views of one position.
-    pub(super) fn position(position: usize, cameras: usize) -> Self {
-        Self { views: (0..cameras).map(|camera| (camera, position)).collect(), ..Self::default() }
-    }
-
     pub(super) fn has_view(&self, camera: usize, position: usize) -> bool {
         self.views.contains(&(camera, position))
     }
@@ -70,7 +65,10 @@ impl Excluded {
         let views: usize = rigging.positions.iter().map(views).sum();
         let excluded = self.views.union(&self.phases).count();
         if 2 * excluded > views {
-            return Err(StageError::Contradictory { head: rigging.head_name(head), excluded, views });
+            return Err(StageError::Refused(format!(
+                "head {}: {excluded} of {views} views contradict the others; nothing can be trusted. Is the board stiff, does its file give the measured centres, did it stand still from the white frame to the fringes?",
+                rigging.head_name(head)
+            )));
         }
         Ok(())
     }
@@ -85,18 +83,9 @@ fn finding(
     message: String,
 ) -> Finding {
     let position = &rigging.positions[place];
-    Finding {
-        camera: rigging.nominal.heads[result.head].cameras[camera].id.clone(),
-        trigger: Some(if kind == Kind::Moved {
-            position.fringes.unwrap_or(position.white)
-        } else {
-            position.white
-        }),
-        position: Some(place + 1),
-        kind,
-        left_out: true,
-        message,
-    }
+    let camera = &rigging.nominal.heads[result.head].cameras[camera].id;
+    let fringes = position.fringes.filter(|_| kind == Kind::Moved);
+    Finding::left_out(camera, fringes.unwrap_or(position.white), Some(place), kind, message)
 }
 
 type Key = (usize, usize);
@@ -129,40 +118,26 @@ fn worst(medians: &[(Key, f64)], least_px: f64) -> Vec<(Key, f64)> {
     medians.iter().filter(|(_, px)| *px > limit).copied().collect()
 }
 
-/// What an adjusted head must keep to.
-pub(super) struct Limits {
-    /// Median residual of circles, image px.
-    circles_px: f64,
-    /// Median residual of phases, panel px.
-    phases_px: f64,
-    /// Distance of the head's cameras relative to the rig file's.
-    scale: f64,
-    /// Standard deviation of a focal length, as a share.
-    focal: f64,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self { circles_px: 0.25, phases_px: 0.25, scale: 0.05, focal: 0.003 }
-    }
-}
+/// Largest median residual of circles (image px) and of phases (panel px) in a head that is accepted.
+const RESIDUAL_PX: f64 = 0.25;
+/// Largest difference of the distance between a head's cameras from the rig file's, as a share.
+const SCALE: f64 = 0.05;
+/// Largest standard deviation of a focal length, as a share of it.
+const FOCAL: f64 = 0.003;
 
 impl Rigging<'_> {
     /// Refuses what would be a bad calibration.
-    pub(super) fn check(&self, result: &HeadResult, limits: &Limits) -> Result<(), StageError> {
-        let head = || self.head_name(result.head);
-        for (what, circles, limit) in
-            [("circles", true, limits.circles_px), ("phases", false, limits.phases_px)]
-        {
+    pub(super) fn check(&self, result: &HeadResult) -> Result<(), StageError> {
+        let refused =
+            |why: String| Err(StageError::Refused(format!("head {}: {why}", self.head_name(result.head))));
+        for (what, circles) in [("circles", true), ("phases", false)] {
             let found = median(medians(result, circles).into_iter().map(|(_, px)| px));
-            if !(found <= limit) {
-                let (found_millipixels, limit_millipixels) = ((found * 1e3) as u32, (limit * 1e3) as u32);
-                return Err(StageError::Residuals {
-                    head: head(),
-                    what,
-                    found_millipixels,
-                    limit_millipixels,
-                });
+            if !(found <= RESIDUAL_PX) {
+                return refused(format!(
+                    "{what} are explained to {} thousandths of a pixel, expected {} or less. Is the board flat, and its file that of this board?",
+                    (found * 1e3) as u32,
+                    RESIDUAL_PX * 1e3
+                ));
             }
         }
         let devices = &result.all.model.devices;
@@ -171,17 +146,21 @@ impl Rigging<'_> {
             let expected = (first.device.centre() - last.device.centre()).norm();
             let centre = |d: usize| devices[d].device_from_frame.inverse().translation.vector;
             let found = (centre(0) - centre(nominal.cameras.len() - 1)).norm();
-            if expected > 0.1 && (found / expected - 1.0).abs() > limits.scale {
-                let percent = (100.0 * found / expected).round() as u32;
-                return Err(StageError::Scale { head: head(), percent });
+            if expected > 0.1 && (found / expected - 1.0).abs() > SCALE {
+                return refused(format!(
+                    "its cameras come out {:.0} % as far apart as in the rig file, expected 95 to 105. Is it the file of this board, in metres?",
+                    (100.0 * found / expected).round()
+                ));
             }
         }
         for (d, (device, sigma)) in devices.iter().zip(&result.all.device_sigma).enumerate() {
             let share = sigma[0] / device.lens.fx;
-            if !(share <= limits.focal) {
-                let name = nominal.cameras.get(d).map_or("the projector".to_owned(), |c| c.id.to_string());
-                let per_mille = (share * 1e3).round() as u32;
-                return Err(StageError::Uncertain { head: head(), device: name, per_mille });
+            if !(share <= FOCAL) {
+                let name = nominal.cameras.get(d).map_or("the projector", |camera| camera.id.as_str());
+                return refused(format!(
+                    "the focal length of {name} is known to {:.0} per mille only, expected 3 or less. More positions are needed that fill the image and are tilted more",
+                    (share * 1e3).round()
+                ));
             }
         }
         Ok(())

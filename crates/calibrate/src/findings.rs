@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What was wrong with the photographs of a calibration, by camera and position.
 
-use super::lattice::NotIdentified;
 use crate::base::ids::{CameraId, TriggerIndex};
 use std::fmt;
 
@@ -20,6 +19,40 @@ pub struct Finding {
     pub left_out: bool,
     /// What was found and what to do.
     pub message: String,
+}
+
+/// Why a frame cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refusal {
+    /// What kind of thing it is, for programs.
+    pub kind: Kind,
+    /// What was found and what to do, for people.
+    pub message: String,
+}
+
+impl Refusal {
+    pub(super) fn new(kind: Kind, message: impl Into<String>) -> Self {
+        Self { kind, message: message.into() }
+    }
+}
+
+impl Finding {
+    /// A frame that is left out; `place` is its position of the board, counted from 0.
+    pub(super) fn left_out(
+        camera: &CameraId,
+        trigger: TriggerIndex,
+        place: Option<usize>,
+        kind: Kind,
+        message: impl Into<String>,
+    ) -> Self {
+        let (camera, position) = (camera.clone(), place.map(|place| place + 1));
+        Self { camera, trigger: Some(trigger), position, kind, left_out: true, message: message.into() }
+    }
+
+    /// The same of a frame that is used as far as it goes.
+    pub(super) fn used(self) -> Self {
+        Self { left_out: false, ..self }
+    }
 }
 
 /// Kinds of findings.
@@ -62,17 +95,6 @@ pub enum Kind {
     Moved,
     /// The position contradicts the others.
     Disagrees,
-}
-
-impl From<&NotIdentified> for Kind {
-    fn from(reason: &NotIdentified) -> Self {
-        match reason {
-            NotIdentified::TooFew { .. } => Self::NoBoard,
-            NotIdentified::NoMatch { .. } => Self::WrongBoard,
-            NotIdentified::Mirrored => Self::Mirrored,
-            NotIdentified::Ambiguous { .. } => Self::Ambiguous,
-        }
-    }
 }
 
 impl fmt::Display for Finding {

@@ -7,7 +7,7 @@
 //! white level, point by point, gives it without the sensor's offset and the room's light.
 
 use super::board::Board;
-use super::ellipse::least_squares;
+use super::estimate::{least_squares, median};
 use super::views::View;
 use crate::base::image::Plane;
 use crate::data::Response;
@@ -108,9 +108,7 @@ pub(super) fn response<'a>(
     let mut fit = least_squares(kept.iter().map(line))?;
     for _ in 0..3 {
         let off = |s: &&LightSample| s.mean - fit[0] - fit[1] * s.white;
-        let mut sizes: Vec<f64> = samples.iter().map(|s| off(s).abs()).collect();
-        sizes.sort_by(f64::total_cmp);
-        let gate = 4.0 * 1.4826 * sizes[sizes.len() / 2].max(0.05);
+        let gate = 4.0 * 1.4826 * median(samples.iter().map(|s| off(s).abs())).max(0.05);
         kept = samples.iter().copied().filter(|s| off(s).abs() <= gate).collect();
         fit = least_squares(kept.iter().map(line))?;
     }
@@ -122,11 +120,7 @@ pub(super) fn response<'a>(
     let exponent = exponent_of(fit[1], pattern)?;
     let slope = |e: f64| mean_share(e, pattern);
     let per_exponent = (slope(exponent + 1e-3) - slope(exponent - 1e-3)) / 2e-3;
-    let share = |i: usize| {
-        let mut shares: Vec<f64> = kept.iter().map(|s| s.harmonics[i] / s.harmonics[0].max(1e-9)).collect();
-        shares.sort_by(f64::total_cmp);
-        shares[shares.len() / 2]
-    };
+    let share = |i: usize| median(kept.iter().map(|s| s.harmonics[i] / s.harmonics[0].max(1e-9)));
     Some(Response {
         gamma: exponent * pattern.gamma,
         sigma: (slope_sigma / per_exponent).hypot(SYSTEMATIC) * pattern.gamma,

@@ -97,7 +97,7 @@ pub fn bring_together(
     let loop_error_m = loop_error(rigging.board, heads, &links);
     let Merged { model, positions, mut observations, priors } = merged(rigging, heads, &frames);
     let mut all = adjust(model, &observations, &priors, 0)
-        .map_err(|error| StageError::Adjust { head: "all heads".to_owned(), error })?;
+        .map_err(|error| StageError::Refused(format!("all heads: {error}")))?;
     observations.shrink_to_fit();
     let devices = |head: &HeadResult| {
         let nominal = &rigging.nominal.heads[head.head];
@@ -132,10 +132,13 @@ fn frames(
             }
         }
     }
-    let named = heads.iter().zip(found);
-    named
-        .map(|(h, frame)| frame.ok_or_else(|| StageError::Alone { head: rigging.head_name(h.head) }))
-        .collect()
+    let alone = |h: &HeadResult| {
+        StageError::Refused(format!(
+            "head {} saw no position of the board together with another head. Show the board between two heads",
+            rigging.head_name(h.head)
+        ))
+    };
+    heads.iter().zip(found).map(|(h, frame)| frame.ok_or_else(|| alone(h))).collect()
 }
 
 /// Around h0 -> h1 -> ... -> h0, where every neighbour has a link.

@@ -147,23 +147,17 @@ impl<'a> Guide<'a> {
         let right = (-level).cross(&Vector3::z());
         let degrees = |share: f64| share.clamp(-1.0, 1.0).asin().to_degrees();
         let (turn, tilt) = (degrees(normal.dot(&right)), degrees(normal.z));
-        match (turn, tilt) {
-            _ if turn.abs().max(tilt.abs()) < TILTED_DEG / 2.0 => Stand::Facing,
-            _ if turn.abs().max(tilt.abs()) < TILTED_DEG => Stand::Other,
-            _ if turn.abs() >= tilt.abs() => {
-                if turn > 0.0 {
-                    Stand::Right
-                } else {
-                    Stand::Left
-                }
-            }
-            _ => {
-                if tilt > 0.0 {
-                    Stand::Up
-                } else {
-                    Stand::Down
-                }
-            }
+        let most = turn.abs().max(tilt.abs());
+        if most < TILTED_DEG / 2.0 {
+            Stand::Facing
+        } else if most < TILTED_DEG {
+            Stand::Other
+        } else if turn.abs() >= tilt.abs() {
+            if turn > 0.0 { Stand::Right } else { Stand::Left }
+        } else if tilt > 0.0 {
+            Stand::Up
+        } else {
+            Stand::Down
         }
     }
 

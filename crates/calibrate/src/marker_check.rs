@@ -2,7 +2,7 @@
 //! Is the marker where the phase says? On a board, circles that lie along a fringe can pass for dashes; then the whole
 //! phase is some fringes off. Between the circles nothing but the marker changes along its fringe.
 
-use super::ellipse::least_squares;
+use super::estimate::least_squares;
 use super::views::View;
 use crate::base::image::Plane;
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;

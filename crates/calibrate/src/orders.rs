@@ -11,14 +11,14 @@
 
 use super::bundle::{DeviceModel, Model, SeenColumn, column_error, fit_columns};
 use super::consistency::Excluded;
+use super::estimate::median;
 use super::findings::{Finding, Kind};
 use super::phases::{Reading, Which};
 use super::stages::{HeadResult, LEAST_PHASE_POINTS, LEAST_PHASES, Rigging, StageError};
-use super::views::median;
 use std::collections::BTreeSet;
 
 /// Fewest views whose markers must agree.
-pub(super) const LEAST_AGREEING: usize = 4;
+const LEAST_AGREEING: usize = 4;
 /// Points of a view by which it is judged.
 const POINTS: usize = 40;
 /// A view agrees with a projector that explains its columns to this share of a fringe.
@@ -67,7 +67,11 @@ impl Rigging<'_> {
         }
         let (found, agreeing) = agree(&marked, &model.devices[projector], self.nominal.pattern.period_px);
         if agreeing < LEAST_AGREEING || 2 * agreeing <= marked.len() {
-            return Err(StageError::Markers { head: self.head_name(head), agreeing, marked: marked.len() });
+            return Err(StageError::Refused(format!(
+                "head {}: the markers in {agreeing} of {} frames with fringes agree on the fringe orders, expected at least {LEAST_AGREEING} and more than half of them. Project the rig's pattern (`fourdbody pattern`), sharp, and show the board where the marker falls on it",
+                self.head_name(head),
+                marked.len()
+            )));
         }
         model.devices[projector] = found;
         Ok(())
@@ -96,17 +100,13 @@ impl Rigging<'_> {
 
     pub(super) fn misread_finding(&self, head: usize, misread: &Misread) -> Finding {
         let position = &self.positions[misread.position];
-        Finding {
-            camera: self.nominal.heads[head].cameras[misread.camera].id.clone(),
-            trigger: Some(position.fringes.unwrap_or(position.white)),
-            position: Some(misread.position + 1),
-            kind: Kind::MarkerMisread,
-            left_out: false,
-            message: format!(
-                "its marker was read {} fringes from where the board has it; the fringe orders are those that the board gives",
-                misread.fringes
-            ),
-        }
+        let camera = &self.nominal.heads[head].cameras[misread.camera].id;
+        let trigger = position.fringes.unwrap_or(position.white);
+        let message = format!(
+            "its marker was read {} fringes from where the board has it; the fringe orders are those that the board gives",
+            misread.fringes
+        );
+        Finding::left_out(camera, trigger, Some(misread.position), Kind::MarkerMisread, message).used()
     }
 }
 

@@ -7,7 +7,7 @@
 use super::board::Board;
 use super::bundle::{Model, Observation};
 use super::consistency::Excluded;
-use super::ellipse::least_squares;
+use super::estimate::least_squares;
 use super::stages::{Rigging, project};
 use super::views::Phase;
 use crate::geometry::pattern::Pattern;

@@ -3,10 +3,10 @@
 //! it is not; an adjustment would follow them, and all numbers would look good.
 
 use super::board::Board;
+use super::estimate::median;
 use super::positions::Position;
 use super::stages::StageError;
 use super::start::board_pose;
-use super::views::median;
 use crate::data::Calibration;
 use nalgebra::{Isometry3, Point3};
 
@@ -36,18 +36,27 @@ pub fn check_placement(
     let Some((worst, [a, b])) = scene.worst(&order).filter(|(worst, _)| *worst > AGREE_M) else {
         return Ok(());
     };
-    let name = |c: usize| cameras[c].id.to_string();
+    let name = |c: usize| &cameras[c].id;
     for i in 0..order.len() {
         for k in i + 1..order.len() {
             let mut swapped = order.clone();
             swapped.swap(i, k);
             let involved = [a, b].iter().any(|c| [i, k].contains(c));
             if involved && scene.worst(&swapped).is_some_and(|(left, _)| left <= AGREE_M) {
-                return Err(StageError::Swapped { cameras: [name(i), name(k)] });
+                return Err(StageError::Refused(format!(
+                    "cameras {} and {} are swapped: each sees the board where the other one should. Exchange their cables, addresses or directories",
+                    name(i),
+                    name(k)
+                )));
             }
         }
     }
-    Err(StageError::Misplaced { cameras: [name(a), name(b)], millimetres: (worst * 1e3) as u32 })
+    Err(StageError::Refused(format!(
+        "cameras {} and {} see the board {} mm apart with the geometry of the rig file, expected at most 250. Correct the rig file, or find out which camera is not where it says",
+        name(a),
+        name(b),
+        (worst * 1e3) as u32
+    )))
 }
 
 struct Scene<'a> {

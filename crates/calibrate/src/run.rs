@@ -10,13 +10,13 @@ use super::global::{Together, bring_together, calibration};
 use super::placement::check_placement;
 use super::positions::Position;
 use super::rows::find_rows;
-use super::stages::{HeadResult, Rigging, StageError, Terms};
+use super::stages::{HeadResult, Rigging, StageError};
 use super::views::look;
 use super::world::Vertical;
 use crate::base::ids::{CameraId, HeadId};
 use crate::data::{
-    CONVENTIONS, Calibration, CameraResiduals, DeviceUncertainty, Extent, FrameSource, HeadLink, HeadVolume,
-    Identity, Quality, Response, ValidVolume, World,
+    CONVENTIONS, CalibratedHead, Calibration, CameraResiduals, DeviceUncertainty, Extent, FrameSource,
+    HeadLink, HeadVolume, Identity, Quality, Response, ValidVolume, World,
 };
 
 /// A calibration and how it came to be.
@@ -59,8 +59,6 @@ fn list(findings: &[Finding]) -> String {
 /// What is asked of a calibration beside the photographs.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// The lens models.
-    pub terms: Terms,
     /// Leave out heads without photographs instead of refusing.
     pub partial: bool,
     /// Positions of the board that say what is vertical.
@@ -96,7 +94,7 @@ pub fn solve(
     board: &Board,
     options: &Options,
 ) -> Result<Outcome, CalibrateError> {
-    let all = Rigging { nominal, board, positions: &positions, terms: options.terms };
+    let all = Rigging { nominal, board, positions: &positions };
     let stage = |error, findings| CalibrateError::Stage { error, findings };
     if let Err(error) = check_placement(nominal, board, &positions) {
         return Err(stage(error, findings));
@@ -152,55 +150,49 @@ fn responses(nominal: &Calibration, positions: &[Position], used: &[usize]) -> V
     used.iter().filter_map(of_head).collect()
 }
 
+/// The heads of a calibration, each with the number of its first device in the adjustment: cameras, then the projector.
+pub(super) fn with_first_device(heads: &[CalibratedHead]) -> impl Iterator<Item = (&CalibratedHead, usize)> {
+    heads.iter().scan(0, |next, head| {
+        let first = *next;
+        *next += head.cameras.len() + 1;
+        Some((head, first))
+    })
+}
+
 /// Boxes around the points whose phase each head measured.
 fn volumes(kept: &Calibration, together: &Together) -> Vec<HeadVolume> {
-    let mut projector = 0;
-    let mut volumes = Vec::new();
-    for head in &kept.heads {
-        projector += head.cameras.len();
+    let volume = |(head, first): (&CalibratedHead, usize)| {
+        let projector = first + head.cameras.len();
         let seen = together.observations.iter().zip(&together.all.outliers);
         let points = seen.filter(|(o, out)| o.device == projector && !**out).map(|(o, _)| {
             let point = together.all.model.boards[o.board] * o.point;
             [point.x, point.y, point.z]
         });
-        volumes.extend(Extent::around(points).map(|extent| HeadVolume { head: head.id.clone(), extent }));
-        projector += 1;
-    }
-    volumes
-}
-
-fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, n) = values.fold((0.0, 0.0), |(sum, n), x| (sum + x * x, n + 1.0));
-    (n > 0.0).then(|| (sum / n).sqrt())
+        Extent::around(points).map(|extent| HeadVolume { head: head.id.clone(), extent })
+    };
+    with_first_device(&kept.heads).filter_map(volume).collect()
 }
 
 fn quality(kept: &Calibration, board: &Board, together: &Together) -> Quality {
-    let mut device = 0;
-    let (mut cameras, mut uncertainties) = (Vec::new(), Vec::new());
-    for head in &kept.heads {
-        let projector = device + head.cameras.len();
-        for camera in &head.cameras {
+    let (mut cameras, mut projectors, mut uncertainties) = (Vec::new(), Vec::new(), Vec::new());
+    for (head, first) in with_first_device(&kept.heads) {
+        for (device, camera) in (first..).zip(&head.cameras) {
             cameras.push(CameraResiduals {
                 camera: camera.id.clone(),
                 positions: seen_positions(&together.observations, device),
                 circles: together.observations.iter().filter(|o| o.device == device).count(),
-                circles_rms_px: device_rms(&together.all, &together.observations, device).unwrap_or(0.0),
+                circles_rms_px: device_rms(together, device),
             });
             uncertainties.push(uncertainty(camera.id.to_string(), &together.all, device));
-            device += 1;
         }
+        let projector = first + head.cameras.len();
+        projectors.push((head.id.clone(), device_rms(together, projector)));
         uncertainties.push(uncertainty(format!("projector of {}", head.id), &together.all, projector));
-        device += 1;
     }
-    let mut device = 0;
-    let projectors = kept.heads.iter().map(|head| {
-        device += head.cameras.len() + 1;
-        (head.id.clone(), device_rms(&together.all, &together.observations, device - 1).unwrap_or(0.0))
-    });
     Quality {
         board: board.name.clone(),
         cameras,
-        projector_rms_px: projectors.collect(),
+        projector_rms_px: projectors,
         links: together
             .links
             .iter()
@@ -213,7 +205,8 @@ fn quality(kept: &Calibration, board: &Board, together: &Together) -> Quality {
     }
 }
 
-fn seen_positions(observations: &[Observation], device: usize) -> usize {
+/// In how many positions a device saw the board.
+pub(super) fn seen_positions(observations: &[Observation], device: usize) -> usize {
     let mut boards: Vec<usize> =
         observations.iter().filter(|o| o.device == device).map(|o| o.board).collect();
     boards.sort_unstable();
@@ -221,11 +214,14 @@ fn seen_positions(observations: &[Observation], device: usize) -> usize {
     boards.len()
 }
 
-/// RMS of a device's residuals per coordinate, px, without what was left out.
-fn device_rms(adjusted: &Adjusted, observations: &[Observation], device: usize) -> Option<f64> {
-    let kept = adjusted.residuals.iter().zip(observations).zip(&adjusted.outliers);
-    let mine = kept.filter(|((_, o), out)| o.device == device && !**out);
-    rms(mine.flat_map(|((r, o), _)| if o.columns_only { vec![r[0]] } else { r.to_vec() }))
+/// RMS of a device's residuals per coordinate, px, without what was left out; 0 of none.
+fn device_rms(together: &Together, device: usize) -> f64 {
+    let all = &together.all;
+    let kept = all.residuals.iter().zip(&together.observations).zip(&all.outliers);
+    let mine = kept.filter(|((_, o), out)| o.device == device && !**out).map(|(pair, _)| pair);
+    let coordinates = mine.flat_map(|(r, o)| r[..if o.columns_only { 1 } else { 2 }].iter());
+    let (sum, n) = coordinates.fold((0.0, 0.0), |(sum, n), x| (sum + x * x, n + 1.0));
+    if n > 0.0 { f64::sqrt(sum / n) } else { 0.0 }
 }
 
 fn uncertainty(device: String, adjusted: &Adjusted, number: usize) -> DeviceUncertainty {
@@ -238,18 +234,13 @@ impl Outcome {
     pub fn lines(&self) -> Vec<String> {
         let mut lines = vec![format!("{} positions of the board", self.positions.len())];
         let Some(quality) = &self.calibration.quality else { return lines };
-        lines.extend(quality.cameras.iter().map(|c| {
-            format!(
-                "  {}: {} circles in {} positions, {:.4} px rms",
-                c.camera, c.circles, c.positions, c.circles_rms_px
-            )
-        }));
-        lines.extend(
-            quality
-                .projector_rms_px
-                .iter()
-                .map(|(head, rms)| format!("  projector of {head}: {rms:.4} panel px rms")),
-        );
+        lines.extend(quality.cameras.iter().map(
+            |CameraResiduals { camera, positions, circles, circles_rms_px }| {
+                format!("  {camera}: {circles} circles in {positions} positions, {circles_rms_px:.4} px rms")
+            },
+        ));
+        let projectors = quality.projector_rms_px.iter();
+        lines.extend(projectors.map(|(head, rms)| format!("  projector of {head}: {rms:.4} panel px rms")));
         lines.extend(self.calibration.heads.iter().map(|head| match head.rows {
             Some(rows) => {
                 format!("  rows of {}'s panel, by the marker's dashes: {:.4} px rms", head.id, rows.rms_px)
@@ -259,11 +250,8 @@ impl Outcome {
                 head.id
             ),
         }));
-        lines.extend(quality.links.iter().map(|link| {
-            format!(
-                "  heads {} and {}: {} common positions, {:.3} mm rms",
-                link.heads[0], link.heads[1], link.positions, link.rms_mm
-            )
+        lines.extend(quality.links.iter().map(|HeadLink { heads: [a, b], positions, rms_mm }| {
+            format!("  heads {a} and {b}: {positions} common positions, {rms_mm:.3} mm rms")
         }));
         lines.extend(quality.responses.iter().map(|(head, r)| {
             format!(

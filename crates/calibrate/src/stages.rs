@@ -11,14 +11,13 @@
 //! Each kind of observation weighs as much as its own residuals justify: its standard deviation is theirs.
 
 use super::board::Board;
-use super::bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prior, adjust};
-use super::consistency::{Excluded, Limits};
+use super::bundle::{Adjusted, DeviceModel, Model, Observation, Prior, adjust};
+use super::consistency::Excluded;
 use super::ellipse::{Ellipse, image_of_circle};
 use super::findings::Finding;
-use super::orders::{LEAST_AGREEING, Misread};
+use super::orders::Misread;
 use super::positions::Position;
 use super::start::{board_pose, is_same_position};
-use super::world::WorldError;
 use crate::data::Calibration;
 use crate::geometry::Device;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
@@ -39,169 +38,25 @@ const CAMERA_ROUNDS: usize = 3;
 /// How often phases are sampled anew in stage 2.
 const PHASE_ROUNDS: usize = 2;
 
-/// Why a calibration came to nothing.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+/// Why the photographs give no calibration.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum StageError {
-    /// Too few usable positions.
+    /// A head has too few usable positions; 0 where none of its cameras saw the board.
     #[error(
         "head {head}: {found} usable positions of the board that differ, expected at least {LEAST_POSITIONS}. Photograph the board at more places and tilts"
     )]
     Positions {
-        /// The head.
+        /// Its identifier in the rig file.
         head: String,
-        /// How many.
+        /// How many usable positions differ from each other.
         found: usize,
     },
-    /// A camera has too few views of its own.
-    #[error(
-        "camera {camera}: usable views in {found} of {positions} positions of the board, expected at least {LEAST_VIEWS}. See what was left out of it"
-    )]
-    Views {
-        /// The camera.
-        camera: String,
-        /// In how many positions.
-        found: usize,
-        /// Positions that its head has.
-        positions: usize,
-    },
-    /// Too few positions with fringes.
-    #[error(
-        "head {head}: fringes give a phase in {found} positions of the board, expected at least {LEAST_PHASES}. After each white frame one with the rig's pattern is needed, the board at the same place"
-    )]
-    Phases {
-        /// The head.
-        head: String,
-        /// How many.
-        found: usize,
-    },
-    /// Markers do not tell the fringe orders.
-    #[error(
-        "head {head}: the markers in {agreeing} of {marked} frames with fringes agree on the fringe orders, expected at least {LEAST_AGREEING} and more than half of them. Project the rig's pattern (`fourdbody pattern`), sharp, and show the board where the marker falls on it"
-    )]
-    Markers {
-        /// The head.
-        head: String,
-        /// Frames whose markers agree.
-        agreeing: usize,
-        /// Frames that show a marker.
-        marked: usize,
-    },
-    /// All positions are nearly parallel.
-    #[error(
-        "head {head}: the positions of the board are tilted against each other by at most {degrees} degrees, expected 25 or more. Tilt the board more"
-    )]
-    Parallel {
-        /// The head.
-        head: String,
-        /// Largest angle between two positions.
-        degrees: u32,
-    },
-    /// Two cameras' images were exchanged.
-    #[error(
-        "cameras {} and {} are swapped: each sees the board where the other one should. Exchange their cables, addresses or directories",
-        .cameras[0], .cameras[1]
-    )]
-    Swapped {
-        /// The cameras.
-        cameras: [String; 2],
-    },
-    /// The rig file does not say where the cameras are.
-    #[error(
-        "cameras {} and {} see the board {millimetres} mm apart with the geometry of the rig file, expected at most 250. Correct the rig file, or find out which camera is not where it says",
-        .cameras[0], .cameras[1]
-    )]
-    Misplaced {
-        /// The cameras.
-        cameras: [String; 2],
-        /// How far apart.
-        millimetres: u32,
-    },
-    /// A declared vertical cannot be.
+    /// A declared vertical contradicts the photographs: the command line is wrong, not the photographs.
     #[error("{0}")]
-    World(#[from] WorldError),
-    /// Too many positions contradict each other.
-    #[error(
-        "head {head}: {excluded} of {views} views contradict the others; nothing can be trusted. Is the board stiff, does its file give the measured centres, did it stand still from the white frame to the fringes?"
-    )]
-    Contradictory {
-        /// The head.
-        head: String,
-        /// Views left out so far.
-        excluded: usize,
-        /// Views there were.
-        views: usize,
-    },
-    /// The observations are explained badly.
-    #[error(
-        "head {head}: {what} are explained to {found_millipixels} thousandths of a pixel, expected {limit_millipixels} or less. Is the board flat, and its file that of this board?"
-    )]
-    Residuals {
-        /// The head.
-        head: String,
-        /// Circles or phases.
-        what: &'static str,
-        /// Median residual.
-        found_millipixels: u32,
-        /// What is accepted.
-        limit_millipixels: u32,
-    },
-    /// Sizes are not those of the rig file.
-    #[error(
-        "head {head}: its cameras come out {percent} % as far apart as in the rig file, expected 95 to 105. Is it the file of this board, in metres?"
-    )]
-    Scale {
-        /// The head.
-        head: String,
-        /// Distance of the cameras, relative to the rig file's.
-        percent: u32,
-    },
-    /// A focal length is not determined.
-    #[error(
-        "head {head}: the focal length of {device} is known to {per_mille} per mille only, expected 3 or less. More positions are needed that fill the image and are tilted more"
-    )]
-    Uncertain {
-        /// The head.
-        head: String,
-        /// The device.
-        device: String,
-        /// Standard deviation.
-        per_mille: u32,
-    },
-    /// A head shares no position with any other.
-    #[error(
-        "head {head} saw no position of the board together with another head. Show the board between two heads"
-    )]
-    Alone {
-        /// The head.
-        head: String,
-    },
-    /// The equations have no solution.
-    #[error("head {head}: {error}")]
-    Adjust {
-        /// The head, or "all heads".
-        head: String,
-        /// Why.
-        error: AdjustError,
-    },
-}
-
-/// Which terms of the lenses are estimated; `docs/design/experiments.md` says what fewer do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Terms {
-    /// The third radial term of the cameras.
-    pub camera_k3: bool,
-    /// The tangential terms of the cameras.
-    pub camera_tangential: bool,
-    /// The second radial term of the projector.
-    pub projector_k2: bool,
-    /// The tangential terms of the projector.
-    pub projector_tangential: bool,
-}
-
-impl Default for Terms {
-    fn default() -> Self {
-        Self { camera_k3: false, camera_tangential: true, projector_k2: true, projector_tangential: true }
-    }
+    World(String),
+    /// Any other reason: what was expected, what was found, and what to do.
+    #[error("{0}")]
+    Refused(String),
 }
 
 /// What the stages know of the devices: place in the calibration's order.
@@ -213,8 +68,6 @@ pub struct Rigging<'a> {
     pub board: &'a Board,
     /// The positions.
     pub positions: &'a [Position],
-    /// What is estimated.
-    pub terms: Terms,
 }
 
 /// A head after stages 1 and 2. Devices: cameras in the rig's order, then the projector. The frame is the nominal world.
@@ -224,8 +77,6 @@ pub struct HeadResult {
     pub head: usize,
     /// Positions used, as places in the list of positions.
     pub positions: Vec<usize>,
-    /// After stage 1, the cameras alone.
-    pub cameras: Adjusted,
     /// After stage 2.
     pub all: Adjusted,
     /// Circle observations, then phase observations, as in `all`.
@@ -258,7 +109,7 @@ impl Rigging<'_> {
             let result = self.attempt(head, &excluded)?;
             let worse = excluded.contradicting(self, &result);
             if worse.is_empty() {
-                self.check(&result, &Limits::default())?;
+                self.check(&result)?;
                 let misread = self.misread(&result, &excluded);
                 findings.extend(misread.iter().map(|view| self.misread_finding(head, view)));
                 return Ok(HeadResult { misread, findings, ..result });
@@ -270,24 +121,22 @@ impl Rigging<'_> {
 
     /// Stages 1 and 2 with all views that are not excluded.
     pub(super) fn attempt(&self, head: usize, excluded: &Excluded) -> Result<HeadResult, StageError> {
-        let adjust_error = |error| StageError::Adjust { head: self.head_name(head), error };
+        let refused = |error| StageError::Refused(format!("head {}: {error}", self.head_name(head)));
         let (positions, boards) = self.starting_boards(head, excluded)?;
         let mut model = Model { devices: self.starting_devices(head), boards };
         let mut circles = self.circles(head, &positions, excluded);
         let priors = self.priors(head);
         let (projector, cameras) = (model.devices.len() - 1, self.nominal.heads[head].cameras.len());
-        let mut stage1 = None;
         for _ in 0..CAMERA_ROUNDS {
             let observations = self.corrected(&model, &circles);
             // The projector waits; nothing observes it yet.
-            let adjusted = adjust(model, &observations, &priors, 0).map_err(adjust_error)?;
+            let adjusted = adjust(model, &observations, &priors, 0).map_err(refused)?;
             for camera in 0..cameras {
                 let spread = spread(&adjusted, &observations, |i| observations[i].device == camera);
                 let mine = circles.iter_mut().filter(|(o, _)| o.device == camera);
                 mine.for_each(|(o, _)| o.sigma_px *= spread);
             }
-            model = adjusted.model.clone();
-            stage1 = Some(adjusted);
+            model = adjusted.model;
         }
         self.settle_orders(head, &positions, &mut model, excluded)?;
         let (mut last, mut phase_scale) = (None, 1.0);
@@ -302,19 +151,18 @@ impl Rigging<'_> {
                 );
             }
             self.check_phases(head, &observations[circles.len()..], positions.len())?;
-            let adjusted = adjust(model, &observations, &priors, 0).map_err(adjust_error)?;
+            let adjusted = adjust(model, &observations, &priors, 0).map_err(refused)?;
             phase_scale *= spread(&adjusted, &observations, |i| observations[i].device == projector);
             model = adjusted.model.clone();
             last = Some((adjusted, observations, phase_cameras));
         }
-        let (Some(cameras), Some((all, observations, phase_cameras))) = (stage1, last) else {
+        let Some((all, observations, phase_cameras)) = last else {
             return Err(StageError::Positions { head: self.head_name(head), found: 0 });
         };
         let circles = circles.len();
         Ok(HeadResult {
             head,
             positions,
-            cameras,
             all,
             observations,
             circles,
@@ -367,14 +215,21 @@ impl Rigging<'_> {
             return Err(StageError::Positions { head: self.head_name(head), found: distinct });
         }
         if let Some((camera, found)) = cameras.iter().zip(&views).find(|(_, found)| **found < LEAST_VIEWS) {
-            let (camera, positions) = (camera.id.to_string(), places.len());
-            return Err(StageError::Views { camera, found: *found, positions });
+            return Err(StageError::Refused(format!(
+                "camera {}: usable views in {found} of {} positions of the board, expected at least {LEAST_VIEWS}. See what was left out of it",
+                camera.id,
+                places.len()
+            )));
         }
         let normals: Vec<Vector3<f64>> = boards.iter().map(|b| b.rotation * Vector3::z()).collect();
         let angles = normals.iter().flat_map(|a| normals.iter().map(move |b| a.angle(b)));
         let degrees = angles.fold(0.0, f64::max).to_degrees();
         if degrees < 25.0 {
-            return Err(StageError::Parallel { head: self.head_name(head), degrees: degrees as u32 });
+            return Err(StageError::Refused(format!(
+                "head {}: the positions of the board are tilted against each other by at most {} degrees, expected 25 or more. Tilt the board more",
+                self.head_name(head),
+                degrees as u32
+            )));
         }
         Ok((places, boards))
     }
@@ -383,7 +238,10 @@ impl Rigging<'_> {
         let points = |board: usize| phases.iter().filter(|o| o.board == board).count();
         let found = (0..positions).filter(|board| points(*board) >= LEAST_PHASE_POINTS).count();
         if found < LEAST_PHASES {
-            return Err(StageError::Phases { head: self.head_name(head), found });
+            return Err(StageError::Refused(format!(
+                "head {}: fringes give a phase in {found} positions of the board, expected at least {LEAST_PHASES}. After each white frame one with the rig's pattern is needed, the board at the same place",
+                self.head_name(head)
+            )));
         }
         Ok(())
     }
@@ -436,28 +294,18 @@ impl Rigging<'_> {
         let devices = self.starting_devices(head);
         let device = devices.len() - 1;
         let projector = &devices[device];
-        let held = |parameter, mean, sigma| Prior { device, parameter, mean, sigma };
-        let loosely = |is: bool, sigma: f64| if is { sigma } else { 0.0 };
-        let tangential = loosely(self.terms.projector_tangential, 1e-3);
+        let known = |parameter, mean, sigma| Prior { device, parameter, mean, sigma };
         let mut priors = vec![
-            held(1, projector.lens.fy, 0.0),
-            held(3, projector.lens.cy, 0.0),
-            held(5, projector.lens.distortion[1], loosely(self.terms.projector_k2, 0.05)),
-            held(6, projector.lens.distortion[2], tangential),
-            held(7, projector.lens.distortion[3], tangential),
-            held(8, 0.0, 0.0),
-            held(13, projector.device_from_frame.translation.y, 0.02),
+            known(1, projector.lens.fy, 0.0),
+            known(3, projector.lens.cy, 0.0),
+            known(5, projector.lens.distortion[1], 0.05),
+            known(6, projector.lens.distortion[2], 1e-3),
+            known(7, projector.lens.distortion[3], 1e-3),
+            known(8, 0.0, 0.0),
+            known(13, projector.device_from_frame.translation.y, 0.02),
         ];
-        for device in 0..device {
-            let mut hold = |parameter| priors.push(Prior { device, parameter, mean: 0.0, sigma: 0.0 });
-            if !self.terms.camera_k3 {
-                hold(8);
-            }
-            if !self.terms.camera_tangential {
-                hold(6);
-                hold(7);
-            }
-        }
+        // The cameras' k3 is held at 0: it explains nothing more (`docs/design/experiments.md`).
+        priors.extend((0..device).map(|device| Prior { device, parameter: 8, mean: 0.0, sigma: 0.0 }));
         priors
     }
 }

@@ -5,7 +5,8 @@
 //! [`look_at_frame`] judges a frame by itself, [`super::positions::arrange`] brings the frames of a position together.
 
 use super::board::Board;
-use super::findings::{Finding, Kind};
+use super::estimate::median;
+use super::findings::{Finding, Kind, Refusal};
 use super::gamma::LightSample;
 use super::lattice::{Sighting, identify};
 use super::positions::{Position, arrange};
@@ -79,21 +80,6 @@ pub enum Looked {
         /// The phase, or why there is none.
         phase: Result<Phase, Refusal>,
     },
-}
-
-/// Why a frame cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Refusal {
-    /// For programs.
-    pub kind: Kind,
-    /// What was found and what to do.
-    pub message: String,
-}
-
-impl Refusal {
-    fn new(kind: Kind, message: impl Into<String>) -> Self {
-        Self { kind, message: message.into() }
-    }
 }
 
 /// Darker than this all over is dark, grey levels.
@@ -230,8 +216,7 @@ fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Phase, Refus
 
 fn look_at_circles(image: Mono8<'_>, board: &Board, camera: &Device) -> Result<View, Refusal> {
     let spots = find_spots(image);
-    let mut sightings =
-        identify(&spots, board).map_err(|reason| Refusal::new(Kind::from(&reason), reason.to_string()))?;
+    let mut sightings = identify(&spots, board)?;
     let all = sightings.len();
     let blur = median(sightings.iter().map(|s| s.spot.blur_px));
     if blur > BLUR_PX {
@@ -320,11 +305,4 @@ fn outline_radius(
     let (x, y) = (centre.x / centre.z, centre.y / centre.z);
     let [[a, b], [c, d]] = camera.lens.jacobian(x, y);
     Some(ideal.radius() * (camera.lens.fx * camera.lens.fy * (a * d - b * c).abs()).sqrt())
-}
-
-/// The middle value; NaN without any.
-pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.filter(|x| !x.is_nan()).collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }

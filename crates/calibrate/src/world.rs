@@ -8,6 +8,7 @@
 
 use super::board::Board;
 use super::bundle::{DeviceModel, Model};
+use super::stages::StageError;
 use crate::data::World;
 use crate::geometry::{Device, best_motion};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
@@ -24,35 +25,6 @@ pub enum Vertical {
     Upright(usize),
     /// It lay level, face up or down.
     Level(usize),
-}
-
-/// Why a declared vertical cannot be used.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum WorldError {
-    /// There is no such position, or no head used it.
-    #[error("position {position} was declared {what}, but is not among the {used} positions used: {list}")]
-    Unused {
-        /// The position.
-        position: usize,
-        /// `upright` or `level`.
-        what: &'static str,
-        /// How many there are.
-        used: usize,
-        /// Their numbers.
-        list: String,
-    },
-    /// It is nowhere near vertical.
-    #[error(
-        "position {position} was declared {what}, but is {degrees:.1} degrees off with the geometry of the rig file, expected at most 10. Is it another position, or is the rig file wrong?"
-    )]
-    NotVertical {
-        /// The position.
-        position: usize,
-        /// `upright` or `level`.
-        what: &'static str,
-        /// How far off.
-        degrees: f64,
-    },
 }
 
 impl Vertical {
@@ -82,7 +54,7 @@ impl Vertical {
 
 /// The motion that brings found poses nearest to nominal ones: `nominal frame from found frame`. Each pose stands for six
 /// points on its axes, so far out that places and attitudes weigh by [`RIG_FILE`]; one pose is enough. `None` without.
-pub fn nearest_motion(poses: &[(Isometry3<f64>, Isometry3<f64>)]) -> Option<Isometry3<f64>> {
+fn nearest_motion(poses: &[(Isometry3<f64>, Isometry3<f64>)]) -> Option<Isometry3<f64>> {
     // Six points at a distance L move by 6 d² + 4 L² a² in sum for a shift d and a turn by a.
     let reach = RIG_FILE.0 / RIG_FILE.1 * 1.5f64.sqrt();
     let tips = (0..6).map(|i| {
@@ -97,13 +69,13 @@ pub fn nearest_motion(poses: &[(Isometry3<f64>, Isometry3<f64>)]) -> Option<Isom
 /// Moves a model whose frame is anyone's into the world. `nominal` has a device for each of the model's; `is_camera` says
 /// which vote: what a projector sees does not say where it is along its rows. `positions` has the number (from 0) of each of
 /// the model's boards.
-pub fn into_world(
+pub(super) fn into_world(
     model: &mut Model,
     nominal: &[(Device, bool)],
     positions: &[usize],
     board: &Board,
     verticals: &[Vertical],
-) -> Result<World, WorldError> {
+) -> Result<World, StageError> {
     let found = |device: &DeviceModel| device.device_from_frame.inverse();
     let poses = |model: &Model| -> Vec<(Isometry3<f64>, Isometry3<f64>)> {
         let pairs = model.devices.iter().zip(nominal).filter(|(_, (_, is_camera))| *is_camera);
@@ -133,7 +105,7 @@ fn vertical_turn(
     model: &Model,
     positions: &[usize],
     verticals: &[Vertical],
-) -> Result<UnitQuaternion<f64>, WorldError> {
+) -> Result<UnitQuaternion<f64>, StageError> {
     let up = Vector3::z();
     let mut sum = Vector3::zeros();
     for vertical in verticals {
@@ -145,13 +117,20 @@ fn vertical_turn(
             used.sort_unstable();
             used.dedup();
             let list: Vec<String> = used.iter().map(ToString::to_string).collect();
-            return Err(WorldError::Unused { position, what, used: used.len(), list: list.join(", ") });
+            return Err(StageError::World(format!(
+                "position {position} was declared {what}, but is not among the {} positions used: {}",
+                used.len(),
+                list.join(", ")
+            )));
         }
         for (_, board) in seen {
             let direction = vertical.direction(board, &up);
             let off = direction.angle(&up);
             if !(off <= DECLARED) {
-                return Err(WorldError::NotVertical { position, what, degrees: off.to_degrees() });
+                return Err(StageError::World(format!(
+                    "position {position} was declared {what}, but is {:.1} degrees off with the geometry of the rig file, expected at most 10. Is it another position, or is the rig file wrong?",
+                    off.to_degrees()
+                )));
             }
             sum += direction;
         }

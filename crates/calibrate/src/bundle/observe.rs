@@ -2,7 +2,7 @@
 //! What one observation says: its residual, and how that depends on every parameter.
 
 use super::{DEVICE_PARAMETERS, Model, Observation, POSE_PARAMETERS};
-use nalgebra::{Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
+use nalgebra::{Matrix2x3, SMatrix, Vector2};
 
 /// Parameters that one observation depends on: lens, device pose, board pose.
 pub(super) const BLOCK: usize = DEVICE_PARAMETERS + POSE_PARAMETERS;
@@ -60,16 +60,11 @@ pub(super) fn linearize(model: &Model, observation: &Observation) -> Option<Line
         jacobian.fixed_view_mut::<2, 3>(0, at).copy_from(block);
     };
     // A small turn w of the device changes R X by w x (R X).
-    place(&mut jacobian, 9, &(-pixel_from_point * cross(&seen)));
+    place(&mut jacobian, 9, &(-pixel_from_point * seen.cross_matrix()));
     place(&mut jacobian, 12, &pixel_from_point);
     let pixel_from_frame = pixel_from_point * pose.rotation.to_rotation_matrix().matrix();
-    place(&mut jacobian, DEVICE_PARAMETERS, &(-pixel_from_frame * cross(&turned)));
+    place(&mut jacobian, DEVICE_PARAMETERS, &(-pixel_from_frame * turned.cross_matrix()));
     place(&mut jacobian, DEVICE_PARAMETERS + 3, &pixel_from_frame);
     let predicted = Vector2::new(lens.fx * xd + lens.cx, lens.fy * yd + lens.cy);
     Some(Linearized { residual: predicted - Vector2::from(observation.measured), jacobian })
-}
-
-/// `cross(a) b = a x b`.
-fn cross(a: &Vector3<f64>) -> Matrix3<f64> {
-    a.cross_matrix()
 }

@@ -4,6 +4,7 @@
 
 use super::observe::{linearize, predict};
 use super::{DEVICE_PARAMETERS, DeviceModel, Model, Observation, moved};
+use crate::estimate::median;
 use nalgebra::{DVector, Isometry3, Point3, SMatrix, SVector};
 
 /// How far off the start may be: focal length as a share, principal point (px), first radial term, turns (rad), and shifts (m)
@@ -46,10 +47,10 @@ pub fn fit_columns(start: &DeviceModel, seen: &[SeenColumn]) -> DeviceModel {
         let device = moved(&first, &free, &DVector::from_column_slice(change.as_slice())).devices[0];
         let model = Model { devices: vec![device], boards: vec![Isometry3::identity()] };
         let linear: Vec<_> = seen.iter().filter_map(|s| linearize(&model, &observation(s.0, s.1))).collect();
-        let mut sizes: Vec<f64> = linear.iter().map(|l| l.residual[0].abs()).collect();
-        sizes.sort_by(f64::total_cmp);
-        let Some(middle) = sizes.get(sizes.len() / 2) else { break };
-        let scale = (2.0 * middle).max(LEAST_PX);
+        if linear.is_empty() {
+            break;
+        }
+        let scale = (2.0 * median(linear.iter().map(|l| l.residual[0].abs()))).max(LEAST_PX);
         let mut normal = SMatrix::<f64, DEVICE_PARAMETERS, DEVICE_PARAMETERS>::zeros();
         let mut right = SVector::<f64, DEVICE_PARAMETERS>::zeros();
         for (i, off) in off.iter().enumerate() {

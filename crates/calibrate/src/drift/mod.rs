@@ -13,6 +13,7 @@ mod sightings;
 mod tests;
 
 use crate::data::{Calibration, PhaseMap};
+use crate::estimate::median;
 use crate::geometry::{Device, Pose};
 use history::Verdict;
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
@@ -332,7 +333,6 @@ impl<'a> Search<'a> {
 
 /// 1.4826 times the median of the sizes, rad.
 fn scale(differences: &[Option<f64>]) -> f64 {
-    let mut sizes: Vec<f64> = differences.iter().flatten().map(|x| x.abs()).collect();
-    sizes.sort_unstable_by(f64::total_cmp);
-    sizes.get(sizes.len() / 2).map_or(LEAST_SCALE_RAD, |median| (1.4826 * median).max(LEAST_SCALE_RAD))
+    // Without any differences this is the least: `max` leaves out NaN.
+    (1.4826 * median(differences.iter().flatten().map(|x| x.abs()))).max(LEAST_SCALE_RAD)
 }

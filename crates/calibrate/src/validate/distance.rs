@@ -58,7 +58,7 @@ pub struct Diagonals {
 pub fn diagonals(sights: &[Sight<'_>], board: &Board) -> Result<Diagonals, String> {
     let mut rings: Vec<Vec<Ring>> = Vec::new();
     for sight in sights {
-        rings.push(sight.cloud.circles(board).map_err(|e| e.to_string())?);
+        rings.push(sight.cloud.circles(board)?);
     }
     let (right, top) = (board.columns - 1, board.rows - 1);
     let corners = [[0, 0], [right, top], [right, 0], [0, top]];

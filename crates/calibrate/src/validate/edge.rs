@@ -12,6 +12,7 @@
 
 use super::ring::{Organized, Ring, Surface};
 use crate::base::image::{Mono8, Plane};
+use crate::estimate::median;
 use crate::geometry::Device;
 use crate::geometry::pattern::Pattern;
 use nalgebra::{SMatrix, SVector, Vector3};
@@ -271,9 +272,7 @@ impl Patch {
         for round in 0..ROUNDS {
             let expected = self.expected(&x);
             let rests: Vec<f64> = self.seen.iter().zip(&expected).map(|(s, e)| s.1 - e).collect();
-            let mut sizes: Vec<f64> = rests.iter().map(|r| r.abs()).collect();
-            let middle = sizes.len() / 2;
-            let gate = 3.0 * 1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 + 1e-4 * level;
+            let gate = 3.0 * 1.4826 * median(rests.iter().map(|r| r.abs())) + 1e-4 * level;
             let mut columns = Vec::new();
             for i in 0..UNKNOWNS {
                 let step = 1e-5 * scales[i];

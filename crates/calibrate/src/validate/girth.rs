@@ -14,6 +14,7 @@
 //! counted (`folded_share`), and the hull alone should be trusted when they are many.
 
 use super::plane::convex_hull;
+use crate::estimate::median;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -256,9 +257,7 @@ fn fit(points: &[Polar], knots: usize) -> Option<Fit> {
             row.iter().map(|&(i, a)| a * solution[i]).sum::<f64>() - p.radius
         };
         rests = rows.iter().zip(points).map(|(row, p)| rest(row, p)).collect::<Vec<f64>>();
-        let mut sizes: Vec<f64> = rests.iter().map(|r| r.abs()).collect();
-        let count = sizes.len();
-        let scale = 1.4826 * *sizes.select_nth_unstable_by(count / 2, f64::total_cmp).1 + 1e-7;
+        let scale = 1.4826 * median(rests.iter().map(|r| r.abs())) + 1e-7;
         // The first rounds pull the spline off far outliers with a wider gate.
         let gate = TUKEY * scale * if round < 2 { 2.0 } else { 1.0 };
         let weight = |r: &f64| (1.0 - (r / gate).powi(2)).max(0.0).powi(2);

@@ -5,15 +5,12 @@
 //! or are of something else: they are counted, and do not enter the other figures.
 
 use super::deviations::Deviations;
-use super::plane::GROSS_M as PLANE_GROSS_M;
+use super::plane::GROSS_M;
 use crate::base::regular;
 use nalgebra::{Matrix4, Point3, Vector3, Vector4};
 use serde::Serialize;
 use std::collections::HashMap;
 use std::path::Path;
-
-/// Beyond this distance a point is not of the solid, m.
-pub const GROSS_M: f64 = PLANE_GROSS_M;
 
 /// Distances to a known solid.
 #[derive(Debug, Clone, PartialEq, Serialize)]

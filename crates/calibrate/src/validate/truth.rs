@@ -36,11 +36,12 @@ const WIDE_PX: usize = 4;
 /// The truth of one camera at one instant.
 #[derive(Debug)]
 pub struct Truth {
-    /// First column and row of the crop.
-    origin: [usize; 2],
-    /// True points in camera axes, m; NaN where there is nothing.
-    points: Plane<[f64; 3]>,
-    lit: Plane<u8>,
+    /// First column and row of the crop in the frame, px.
+    pub(super) origin: [usize; 2],
+    /// True points of the crop in camera axes, m; NaN where there is nothing.
+    pub(super) points: Plane<[f64; 3]>,
+    /// Whether the projector lights the pixels of the crop: not 0.
+    pub(super) lit: Plane<u8>,
     focal_px: f64,
 }
 
@@ -87,21 +88,6 @@ impl Truth {
             }
         }
         Ok(Self { origin: [u0, first], points, lit: is_lit, focal_px: camera.lens.fx })
-    }
-
-    /// First column and row of the crop.
-    pub(super) fn origin(&self) -> [usize; 2] {
-        self.origin
-    }
-
-    /// True points of the crop in camera axes, m; NaN where there is nothing.
-    pub(super) fn points(&self) -> &Plane<[f64; 3]> {
-        &self.points
-    }
-
-    /// Whether the projector lights the pixels of the crop: not 0.
-    pub(super) fn lit(&self) -> &Plane<u8> {
-        &self.lit
     }
 
     /// Place of a frame pixel in the crop.
@@ -297,20 +283,9 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Adds the points of `cloud` for which `select` holds (by index), all of one camera, and that camera's
-    /// lit pixels.
+    /// Adds the points of `cloud` for which `select` holds (by index), all of one camera, and that camera's lit pixels;
+    /// with the fringes of its photograph, by their modulation, too.
     pub fn add(
-        &mut self,
-        cloud: &Cloud,
-        select: impl Fn(usize) -> bool,
-        truth: &Truth,
-        reference: Reference<'_>,
-    ) {
-        self.add_with_light(cloud, select, truth, reference, None);
-    }
-
-    /// The same, counting by the modulation in the photograph, too.
-    pub fn add_with_light(
         &mut self,
         cloud: &Cloud,
         select: impl Fn(usize) -> bool,
