@@ -8,7 +8,7 @@ use super::reconstruct::open_source;
 use crate::base::Exit;
 use crate::base::ids::CameraId;
 use crate::calibrate::joined::Joined;
-use crate::calibrate::stages::StageError;
+use crate::calibrate::rigging::StageError;
 use crate::calibrate::{Board, Vertical, advice, report, run};
 use crate::capture::participant::Participant;
 use crate::config::Rig;

@@ -4,8 +4,8 @@
 
 use crate::board_photographs::{Photographs, errors, flat, good, scene};
 use fourdbody::base::image::Plane;
+use fourdbody::calibrate::rigging::StageError;
 use fourdbody::calibrate::run::{CalibrateError, Outcome};
-use fourdbody::calibrate::stages::StageError;
 use fourdbody::calibrate::{Board, Finding, Kind};
 use fourdbody_simulator::scenario::Light;
 use std::path::Path;

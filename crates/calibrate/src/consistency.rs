@@ -3,16 +3,9 @@
 
 use super::estimate::median;
 use super::findings::{Finding, Kind};
-use super::positions::Position;
-use super::stages::{HeadResult, Rigging, StageError};
+use super::observed::Position;
+use super::rigging::{Excluded, HeadResult, Rigging, StageError};
 use std::collections::BTreeSet;
-
-/// Views, by camera (place in its head) and position, that are left out of an adjustment.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Excluded {
-    views: BTreeSet<(usize, usize)>,
-    phases: BTreeSet<(usize, usize)>,
-}
 
 /// A view contradicts the others when its median residual is so many times theirs...
 const TIMES: f64 = 4.0;
@@ -22,14 +15,6 @@ const CIRCLES_PX: f64 = 0.1;
 const PHASES_PX: f64 = 0.1;
 
 impl Excluded {
-    pub(super) fn has_view(&self, camera: usize, position: usize) -> bool {
-        self.views.contains(&(camera, position))
-    }
-
-    pub(super) fn has_phase(&self, camera: usize, position: usize) -> bool {
-        self.phases.contains(&(camera, position))
-    }
-
     /// Leaves out the views that contradict the others most, and says so. Circles go first: phases depend on them.
     pub(super) fn contradicting(&mut self, rigging: &Rigging<'_>, result: &HeadResult) -> Vec<Finding> {
         let circles = medians(result, true);

@@ -8,23 +8,12 @@
 
 use super::board::Board;
 use super::estimate::{least_squares, median};
-use super::views::View;
+use super::observed::{LightSample, View};
 use crate::base::image::Plane;
 use crate::data::Response;
 use crate::geometry::pattern::{Marker, Pattern};
 use nalgebra::{SVector, Vector2};
 use std::f64::consts::TAU;
-
-/// Light around one point of the white field.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LightSample {
-    /// Mean level in white light, grey levels.
-    pub white: f64,
-    /// Mean level of the fringes, grey levels.
-    pub mean: f64,
-    /// Amplitudes of the fringes' first three harmonics, grey levels.
-    pub harmonics: [f64; 3],
-}
 
 /// Half the window around a point, px.
 const REACH: i64 = 8;

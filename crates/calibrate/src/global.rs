@@ -4,7 +4,7 @@
 
 use super::board::Board;
 use super::bundle::{Adjusted, DeviceModel, Model, Observation, Prior, adjust};
-use super::stages::{HeadResult, Rigging, StageError};
+use super::rigging::{HeadResult, Rigging, StageError};
 use super::world::{Vertical, into_world};
 use crate::data::{Calibration, World};
 use crate::geometry::{Device, Pose};

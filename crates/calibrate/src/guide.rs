@@ -3,7 +3,7 @@
 //! it is told what every position gave.
 
 use super::board::Board;
-use super::positions::Position;
+use super::observed::Position;
 use super::start::{board_pose, is_same_position};
 use crate::data::Calibration;
 use nalgebra::{Isometry3, Vector3};

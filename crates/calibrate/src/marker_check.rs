@@ -3,7 +3,7 @@
 //! phase is some fringes off. Between the circles nothing but the marker changes along its fringe.
 
 use super::estimate::least_squares;
-use super::views::View;
+use super::observed::View;
 use crate::base::image::Plane;
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::Vector3;

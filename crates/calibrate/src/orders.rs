@@ -10,11 +10,10 @@
 //! circles would not be where the white frame has them.
 
 use super::bundle::{DeviceModel, Model, SeenColumn, column_error, fit_columns};
-use super::consistency::Excluded;
 use super::estimate::median;
 use super::findings::{Finding, Kind};
-use super::phases::{Reading, Which};
-use super::stages::{HeadResult, LEAST_PHASE_POINTS, LEAST_PHASES, Rigging, StageError};
+use super::phases::{LEAST_PHASE_POINTS, LEAST_PHASES, Reading, Which};
+use super::rigging::{Excluded, HeadResult, Misread, Rigging, StageError};
 use std::collections::BTreeSet;
 
 /// Fewest views whose markers must agree.
@@ -25,17 +24,6 @@ const POINTS: usize = 40;
 const AGREES: f64 = 0.25;
 /// The next view is taken in when it is explained to this share: its whole fringes are certain.
 const NEXT: f64 = 0.45;
-
-/// A view whose marker is so many fringes from where the board has it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Misread {
-    /// The camera, as its place in its head.
-    pub camera: usize,
-    /// The position, as its place in the list of positions.
-    pub position: usize,
-    /// Fringes that it says too much.
-    pub fringes: i64,
-}
 
 impl Rigging<'_> {
     /// Brings the projector, the last of the model's devices, to where most markers have it: to a fraction of a fringe.
@@ -54,11 +42,11 @@ impl Rigging<'_> {
                 continue;
             }
             places.insert(which.position);
-            let told = self.told(head, which, readings);
-            if told.len() >= LEAST_PHASE_POINTS {
+            let read = self.by_marker(head, which, readings);
+            if read.len() >= LEAST_PHASE_POINTS {
                 let pose = model.boards[which.board];
                 let seen = |r: &Reading| (pose * r.point, r.column);
-                marked.push(spread(&told).map(seen).collect::<Vec<SeenColumn>>());
+                marked.push(spread(&read).map(seen).collect::<Vec<SeenColumn>>());
             }
         }
         if places.len() < LEAST_PHASES {
@@ -77,11 +65,11 @@ impl Rigging<'_> {
         Ok(())
     }
 
-    /// Those whose fringe orders the view's own marker tells.
-    fn told(&self, head: usize, which: Which, readings: Vec<Reading>) -> Vec<Reading> {
-        let view = self.positions[which.position].views[self.first_camera(head) + which.camera].as_ref();
-        let marker = view.and_then(|view| view.phase.as_ref()).is_some_and(|phase| phase.marker);
-        readings.into_iter().filter(|reading| marker && reading.told).collect()
+    /// The readings whose fringe orders the view's own marker gives.
+    fn by_marker(&self, head: usize, which: Which, readings: Vec<Reading>) -> Vec<Reading> {
+        let phase = self.view(head, which.camera, which.position).and_then(|view| view.phase.as_ref());
+        let marker = phase.is_some_and(|phase| phase.marker);
+        readings.into_iter().filter(|reading| marker && reading.by_marker).collect()
     }
 
     /// The views whose own markers say other orders than the board.
@@ -90,9 +78,9 @@ impl Rigging<'_> {
         let views = self.views_with_phase(result.head, &result.positions, excluded).into_iter();
         let of_view = |which: Which| {
             let readings = self.readings(result.head, which, &result.all.model);
-            let told = self.told(result.head, which, readings);
+            let read = self.by_marker(result.head, which, readings);
             // Without any it is no number, and comes to 0 fringes.
-            let fringes = (median(told.iter().map(Reading::excess)) / period).round() as i64;
+            let fringes = (median(read.iter().map(Reading::excess)) / period).round() as i64;
             (fringes != 0).then_some(Misread { camera: which.camera, position: which.position, fringes })
         };
         views.filter_map(of_view).collect()

@@ -5,16 +5,19 @@
 //! over the whole view the projector's model does ([`super::orders`]).
 
 use super::board::Board;
-use super::bundle::{Model, Observation};
-use super::consistency::Excluded;
+use super::bundle::{Model, Observation, project};
 use super::estimate::least_squares;
-use super::stages::{Rigging, project};
-use super::views::Phase;
+use super::observed::Phase;
+use super::rigging::{Excluded, Rigging};
 use crate::geometry::pattern::Pattern;
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::{Isometry3, Matrix2, Point3, SVector, Vector2, Vector3};
 use std::f64::consts::TAU;
 
+/// Fewest positions of a head with a phase.
+pub(super) const LEAST_PHASES: usize = 4;
+/// Points with a phase below which a position, or a view, has none.
+pub(super) const LEAST_PHASE_POINTS: usize = 30;
 /// Half the window in which the phase around a board point is fitted, px.
 const WINDOW: i64 = 8;
 /// Share of the window that must have a phase.
@@ -35,8 +38,8 @@ pub(super) struct Reading {
     pub(super) column: f64,
     /// Standard deviation of that, px.
     pub(super) sigma_px: f64,
-    /// Whether the marker of its frame tells the whole fringes.
-    pub(super) told: bool,
+    /// Whether the marker of its frame gives the whole fringes.
+    pub(super) by_marker: bool,
 }
 
 impl Reading {
@@ -63,15 +66,13 @@ impl Rigging<'_> {
         excluded: &Excluded,
     ) -> Vec<Which> {
         let cameras = 0..self.nominal.heads[head].cameras.len();
-        let first = self.first_camera(head);
         let all = cameras.flat_map(|camera| {
             positions.iter().enumerate().map(move |(board, &position)| Which { camera, position, board })
         });
         all.filter(|&Which { camera, position, .. }| {
-            let view = self.positions[position].views[first + camera].as_ref();
-            view.is_some_and(|view| view.phase.is_some())
-                && !excluded.has_view(camera, position)
-                && !excluded.has_phase(camera, position)
+            self.view(head, camera, position).is_some_and(|view| view.phase.is_some())
+                && !excluded.views.contains(&(camera, position))
+                && !excluded.phases.contains(&(camera, position))
         })
         .collect()
     }
@@ -83,7 +84,7 @@ impl Rigging<'_> {
         let Ok(pair) = CameraProjector::new(nominal, &nominal.cameras[which.camera], self.nominal) else {
             return Vec::new();
         };
-        let view = self.positions[which.position].views[self.first_camera(head) + which.camera].as_ref();
+        let view = self.view(head, which.camera, which.position);
         let Some((view, phase)) = view.and_then(|view| Some((view, view.phase.as_ref()?))) else {
             return Vec::new();
         };
@@ -103,8 +104,8 @@ impl Rigging<'_> {
             let ((x, column_x), (y, column_y)) = (along(Vector3::x())?, along(Vector3::y())?);
             let pixels = Matrix2::from_columns(&[x, y]).try_inverse()?;
             let slope = pixels.transpose() * Vector2::new(column_x, column_y);
-            let (column, sigma_px, told) = column_at(phase, pixel, slope.into(), &pair)?;
-            Some(Reading { point: *point, expected, column, sigma_px, told })
+            let (column, sigma_px, by_marker) = column_at(phase, pixel, slope.into(), &pair)?;
+            Some(Reading { point: *point, expected, column, sigma_px, by_marker })
         };
         let points = field_points(self.board);
         let seen = points.iter().filter(|(_, circles)| circles.iter().all(is_seen));
@@ -160,10 +161,10 @@ fn modulo_mean(values: impl Iterator<Item = f64>, period: f64) -> f64 {
     sum[1].atan2(sum[0]) * period / TAU
 }
 
-/// The panel column that lights the board at pixel (u, v), its standard deviation, px, and whether the marker tells its whole
+/// The panel column that lights the board at pixel (u, v), its standard deviation, px, and whether the marker gives its whole
 /// fringes. `slope`: how the column changes along u and v there. Which fringe of several is that of most of the window.
 fn column_at(
-    Phase { plane: phase, told, .. }: &Phase,
+    Phase { plane: phase, by_marker, .. }: &Phase,
     [u, v]: [f64; 2],
     slope: [f64; 2],
     pair: &CameraProjector,
@@ -175,13 +176,13 @@ fn column_at(
     }
     let slope = slope.map(|columns| columns * TAU / pair.pattern.period_px);
     let room = ((2 * WINDOW + 1) * (2 * WINDOW + 1)) as usize;
-    let (mut rows, mut is_told) = (Vec::with_capacity(room), Vec::with_capacity(room));
+    let (mut rows, mut marks) = (Vec::with_capacity(room), Vec::with_capacity(room));
     for y in row - WINDOW..=row + WINDOW {
         for x in column - WINDOW..=column + WINDOW {
             let value = f64::from(phase.at(x as usize, y as usize));
             if !value.is_nan() {
                 rows.push((Vector3::new(1.0, x as f64 - u, y as f64 - v), value));
-                is_told.push(told.at(x as usize, y as usize));
+                marks.push(by_marker.at(x as usize, y as usize));
             }
         }
     }
@@ -195,7 +196,7 @@ fn column_at(
     let each = turns.clone();
     let middle = turns.len() / 2;
     let most = *turns.select_nth_unstable_by(middle, f64::total_cmp).1;
-    let told = each.iter().zip(&is_told).filter(|(own, told)| **told && **own == most).count();
+    let marked = each.iter().zip(&marks).filter(|(own, marked)| **marked && **own == most).count();
     rows.iter_mut().zip(each).for_each(|((_, value), own)| *value -= TAU * (own - most));
     let fit: SVector<f64, 3> = least_squares(rows.iter().copied())?;
     let sum: f64 = rows.iter().map(|(row, value)| (row.dot(&fit) - value).powi(2)).sum();
@@ -207,7 +208,7 @@ fn column_at(
     // Neighbouring phases share most of their pixels: count one in so many as independent.
     let independent = rows.len() as f64 / pair.period_px.max(1.0) as f64;
     let sigma = rms.max(0.005) / independent.sqrt() * pair.pattern.period_px / TAU;
-    Some((pair.pattern.column(fit[0]), sigma, 2 * told > rows.len()))
+    Some((pair.pattern.column(fit[0]), sigma, 2 * marked > rows.len()))
 }
 
 /// Points of the white field, as far from the circles as can be: between two and between four of them; with the numbers

@@ -4,8 +4,8 @@
 
 use super::board::Board;
 use super::estimate::median;
-use super::positions::Position;
-use super::stages::StageError;
+use super::observed::Position;
+use super::rigging::StageError;
 use super::start::board_pose;
 use crate::data::Calibration;
 use nalgebra::{Isometry3, Point3};

@@ -7,9 +7,10 @@ use super::findings::{Finding, Kind, Refusal};
 use super::gamma::light_samples;
 use super::lattice::Sighting;
 use super::marker_check::marker_is_there;
+use super::observed::{DARK, Looked, Phase, Position, View};
 use super::rows::ridge;
 use super::start::board_pose;
-use super::views::{DARK, Looked, Phase, View};
+
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::Plane;
 use crate::data::Calibration;
@@ -19,17 +20,6 @@ use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::Point3;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
-
-/// The board at one place: a white frame, and the frame with fringes that belongs to it.
-#[derive(Debug, Clone)]
-pub struct Position {
-    /// The white frames' trigger.
-    pub white: TriggerIndex,
-    /// The fringe frames' trigger.
-    pub fringes: Option<TriggerIndex>,
-    /// By camera, in the calibration's order.
-    pub views: Vec<Option<View>>,
-}
 
 /// Share of the circles that must be dark in the frame with fringes, where they were in the white one.
 const SAME_PLACE: f64 = 0.5;
@@ -83,9 +73,9 @@ pub fn arrange(
         findings.extend(pair_up(&mut positions, board, &nominal.pattern, of, &image, phase));
     }
     // One line for each view, however many dark frames there are.
-    let mut told = BTreeSet::new();
+    let mut named = BTreeSet::new();
     let dark = dark.into_iter().filter_map(|(t, camera)| dark_fringes(&positions, &ids[camera], camera, t));
-    findings.extend(dark.filter(|found| told.insert((found.camera.clone(), found.position))));
+    findings.extend(dark.filter(|found| named.insert((found.camera.clone(), found.position))));
     let views = positions.iter_mut().flat_map(|p| &mut p.views).flatten();
     views.for_each(|view| view.white = None);
     findings.sort_by_key(|f| (f.trigger.is_none(), f.trigger));

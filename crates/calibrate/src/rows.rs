@@ -14,9 +14,8 @@
 //! geometry. With it a photograph's own dashes tell whose calibration it is.
 
 use super::marker_check::ridges;
-use super::positions::Position;
-use super::stages::HeadResult;
-use super::views::View;
+use super::observed::{Position, RidgePixel, View};
+use super::rigging::HeadResult;
 use crate::base::image::Plane;
 use crate::data::{Calibration, PanelRows};
 use crate::reconstruct::marker::epipolar_check::{Crossing, Stretch, stretches_of};
@@ -39,14 +38,6 @@ const NEARNESSES: (i32, f64) = (8, 4.0);
 
 /// Rounds in which the fit leaves out what it does not explain.
 const ROUNDS: usize = 5;
-
-/// A pixel on a marker's ridge, and its light over one period of the fringes, DN.
-#[derive(Debug, Clone, Copy)]
-pub struct RidgePixel {
-    u: usize,
-    v: usize,
-    light: f64,
-}
 
 /// The ridges of the markers on the board, between its circles, from row to row.
 pub(super) fn ridge(

@@ -10,99 +10,27 @@
 //!
 //! Each kind of observation weighs as much as its own residuals justify: its standard deviation is theirs.
 
-use super::board::Board;
 use super::bundle::{Adjusted, DeviceModel, Model, Observation, Prior, adjust};
-use super::consistency::Excluded;
 use super::ellipse::{Ellipse, image_of_circle};
-use super::findings::Finding;
-use super::orders::Misread;
-use super::positions::Position;
+use super::phases::{LEAST_PHASE_POINTS, LEAST_PHASES};
+use super::rigging::{Excluded, HeadResult, Rigging, StageError};
 use super::start::{board_pose, is_same_position};
-use crate::data::Calibration;
 use crate::geometry::Device;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use std::f64::consts::TAU;
 
 /// Standard deviation of a circle's centre, px, before the residuals say better.
 const CIRCLE_SIGMA_PX: f64 = 0.02;
-/// Fewest positions for a head: fewer leave lens and distance entangled.
-pub(super) const LEAST_POSITIONS: usize = 6;
 /// Fewest positions that each camera of a head must have seen itself.
 const LEAST_VIEWS: usize = 4;
-/// Fewest positions with a phase.
-pub(super) const LEAST_PHASES: usize = 4;
-/// Points with a phase below which a position, or a view, has none.
-pub(super) const LEAST_PHASE_POINTS: usize = 30;
 /// How often centres are corrected in stage 1.
 const CAMERA_ROUNDS: usize = 3;
 /// How often phases are sampled anew in stage 2.
 const PHASE_ROUNDS: usize = 2;
 
-/// Why the photographs give no calibration.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum StageError {
-    /// A head has too few usable positions; 0 where none of its cameras saw the board.
-    #[error(
-        "head {head}: {found} usable positions of the board that differ, expected at least {LEAST_POSITIONS}. Photograph the board at more places and tilts"
-    )]
-    Positions {
-        /// Its identifier in the rig file.
-        head: String,
-        /// How many usable positions differ from each other.
-        found: usize,
-    },
-    /// A declared vertical contradicts the photographs: the command line is wrong, not the photographs.
-    #[error("{0}")]
-    World(String),
-    /// Any other reason: what was expected, what was found, and what to do.
-    #[error("{0}")]
-    Refused(String),
-}
-
-/// What the stages know of the devices: place in the calibration's order.
-#[derive(Clone, Copy)]
-pub struct Rigging<'a> {
-    /// The rig's nominal geometry.
-    pub nominal: &'a Calibration,
-    /// The board.
-    pub board: &'a Board,
-    /// The positions.
-    pub positions: &'a [Position],
-}
-
-/// A head after stages 1 and 2. Devices: cameras in the rig's order, then the projector. The frame is the nominal world.
-#[derive(Debug, Clone)]
-pub struct HeadResult {
-    /// Place of the head in the rig.
-    pub head: usize,
-    /// Positions used, as places in the list of positions.
-    pub positions: Vec<usize>,
-    /// After stage 2.
-    pub all: Adjusted,
-    /// Circle observations, then phase observations, as in `all`.
-    pub observations: Vec<Observation>,
-    /// How many of them are circles.
-    pub circles: usize,
-    /// By phase observation, the camera that saw it, as its place in the head.
-    pub phase_cameras: Vec<usize>,
-    /// Views whose markers are elsewhere than the board has them.
-    pub misread: Vec<Misread>,
-    /// What was left out because it contradicts the rest, and what looked wrong.
-    pub findings: Vec<Finding>,
-}
-
 impl Rigging<'_> {
-    /// Place of a head's first camera among all cameras.
-    pub(super) fn first_camera(&self, head: usize) -> usize {
-        self.nominal.cameras_of(head).start
-    }
-
-    pub(super) fn head_name(&self, head: usize) -> String {
-        self.nominal.heads[head].id.to_string()
-    }
-
     /// Stages 1 and 2 of one head; views that contradict the others are left out, as long as they are few.
-    pub fn calibrate_head(&self, head: usize) -> Result<HeadResult, StageError> {
+    pub(super) fn calibrate_head(&self, head: usize) -> Result<HeadResult, StageError> {
         let mut excluded = Excluded::default();
         let mut findings = Vec::new();
         loop {
@@ -120,7 +48,7 @@ impl Rigging<'_> {
     }
 
     /// Stages 1 and 2 with all views that are not excluded.
-    pub(super) fn attempt(&self, head: usize, excluded: &Excluded) -> Result<HeadResult, StageError> {
+    fn attempt(&self, head: usize, excluded: &Excluded) -> Result<HeadResult, StageError> {
         let refused = |error| StageError::Refused(format!("head {}: {error}", self.head_name(head)));
         let (positions, boards) = self.starting_boards(head, excluded)?;
         let mut model = Model { devices: self.starting_devices(head), boards };
@@ -157,7 +85,7 @@ impl Rigging<'_> {
             last = Some((adjusted, observations, phase_cameras));
         }
         let Some((all, observations, phase_cameras)) = last else {
-            return Err(StageError::Positions { head: self.head_name(head), found: 0 });
+            return Err(StageError::Positions { head: self.head_name(head).to_owned(), found: 0 });
         };
         let circles = circles.len();
         Ok(HeadResult {
@@ -187,17 +115,13 @@ impl Rigging<'_> {
         head: usize,
         excluded: &Excluded,
     ) -> Result<(Vec<usize>, Vec<Isometry3<f64>>), StageError> {
-        let first = self.first_camera(head);
         let cameras = &self.nominal.heads[head].cameras;
         let (mut places, mut boards) = (Vec::new(), Vec::<Isometry3<f64>>::new());
         let (mut distinct, mut views) = (0, vec![0; cameras.len()]);
-        for (place, position) in self.positions.iter().enumerate() {
+        for place in 0..self.positions.len() {
             // The camera that saw most of the board.
-            let seen = cameras.iter().enumerate().filter(|(c, _)| !excluded.has_view(*c, place));
-            let seen = seen.filter_map(|(c, camera)| {
-                let view = position.views[first + c].as_ref()?;
-                Some((c, view, &camera.device))
-            });
+            let seen = cameras.iter().enumerate().filter(|(c, _)| !excluded.views.contains(&(*c, place)));
+            let seen = seen.filter_map(|(c, camera)| Some((c, self.view(head, c, place)?, &camera.device)));
             let seen: Vec<_> = seen.collect();
             let Some((_, view, device)) = seen.iter().max_by_key(|(_, view, _)| view.sightings.len()) else {
                 continue;
@@ -211,9 +135,7 @@ impl Rigging<'_> {
             places.push(place);
             boards.push(board);
         }
-        if distinct < LEAST_POSITIONS {
-            return Err(StageError::Positions { head: self.head_name(head), found: distinct });
-        }
+        self.check_positions(head, distinct)?;
         if let Some((camera, found)) = cameras.iter().zip(&views).find(|(_, found)| **found < LEAST_VIEWS) {
             return Err(StageError::Refused(format!(
                 "camera {}: usable views in {found} of {} positions of the board, expected at least {LEAST_VIEWS}. See what was left out of it",
@@ -247,20 +169,14 @@ impl Rigging<'_> {
     }
 
     /// Sightings of all circles, as measured.
-    pub(super) fn circles(
-        &self,
-        head: usize,
-        positions: &[usize],
-        excluded: &Excluded,
-    ) -> Vec<(Observation, f64)> {
-        let first = self.first_camera(head);
+    fn circles(&self, head: usize, positions: &[usize], excluded: &Excluded) -> Vec<(Observation, f64)> {
         let mut all = Vec::new();
         for (board, &position) in positions.iter().enumerate() {
             for device in 0..self.nominal.heads[head].cameras.len() {
-                let Some(view) = &self.positions[position].views[first + device] else { continue };
-                if excluded.has_view(device, position) {
+                let view = self.view(head, device, position);
+                let Some(view) = view.filter(|_| !excluded.views.contains(&(device, position))) else {
                     continue;
-                }
+                };
                 all.extend(view.sightings.iter().map(|sighting| {
                     let circle = self.board.circles()[sighting.circle];
                     let observation = Observation {
@@ -279,7 +195,7 @@ impl Rigging<'_> {
     }
 
     /// The same with outline centres brought to the images of the circles' centres.
-    pub(super) fn corrected(&self, model: &Model, circles: &[(Observation, f64)]) -> Vec<Observation> {
+    fn corrected(&self, model: &Model, circles: &[(Observation, f64)]) -> Vec<Observation> {
         let correct = |(observation, radius): &(Observation, f64)| {
             let [du, dv] = centre_shift(model, observation, *radius).unwrap_or([0.0; 2]);
             let [u, v] = observation.measured;
@@ -319,16 +235,6 @@ fn spread(adjusted: &Adjusted, observations: &[Observation], is_chosen: impl Fn(
         (sum + square / (o.sigma_px * o.sigma_px), n + count)
     });
     if n > 0.0 { f64::sqrt(sum / n).clamp(0.05, 50.0) } else { 1.0 }
-}
-
-/// Pixel of a board point.
-pub(super) fn project(
-    device: &DeviceModel,
-    frame_from_board: &Isometry3<f64>,
-    point: &Point3<f64>,
-) -> Option<[f64; 2]> {
-    let p = device.device_from_frame * (frame_from_board * point);
-    (p.z > 1e-6).then(|| device.lens.distort(p.x / p.z, p.y / p.z)).flatten()
 }
 
 /// Outline's centre minus image of the centre, px: perspective and distortion together.

@@ -7,10 +7,9 @@
 use super::board::Board;
 use super::estimate::median;
 use super::findings::{Finding, Kind, Refusal};
-use super::gamma::LightSample;
 use super::lattice::{Sighting, identify};
-use super::positions::{Position, arrange};
-use super::rows::RidgePixel;
+use super::observed::{DARK, Looked, Phase, Position, View};
+use super::positions::arrange;
 use super::spots::find_spots;
 use super::start::board_pose;
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -35,55 +34,6 @@ pub enum Light {
     Fringes,
 }
 
-/// A camera's view of the board, lit white.
-#[derive(Debug, Clone)]
-pub struct View {
-    /// The circles.
-    pub sightings: Vec<Sighting>,
-    /// The phase over the frame with fringes.
-    pub phase: Option<Phase>,
-    /// By circle of the board: seen in the white frame and again in the frame with fringes. Empty without fringes.
-    pub confirmed: Vec<bool>,
-    /// The white frame, until the fringes were compared with it.
-    pub white: Option<Plane<u8>>,
-    /// How the fringes' light compares with the white light.
-    pub light: Vec<LightSample>,
-    /// The markers' ridges in the frame with fringes.
-    pub ridge: Vec<RidgePixel>,
-}
-
-/// The phase of a frame by itself, rad.
-#[derive(Debug, Clone)]
-pub struct Phase {
-    /// NaN where there is none.
-    pub plane: Plane<f32>,
-    /// Where the frame's own marker tells the fringe orders. Elsewhere whole turns may be lacking, others in each patch: the
-    /// board tells them (`orders.rs`).
-    pub told: Plane<bool>,
-    /// Whether the marker is where the phase has it.
-    pub marker: bool,
-}
-
-/// What one frame shows.
-#[derive(Debug, Clone)]
-pub enum Looked {
-    /// There is no frame, for this reason.
-    Missing(String),
-    /// Nothing is lit.
-    Dark,
-    /// The board in white light, or why it cannot be used.
-    White(Result<View, Refusal>),
-    /// The board with fringes.
-    Fringes {
-        /// The frame itself, to find the circles again.
-        image: Plane<u8>,
-        /// The phase, or why there is none.
-        phase: Result<Phase, Refusal>,
-    },
-}
-
-/// Darker than this all over is dark, grey levels.
-pub(super) const DARK: u8 = 24;
 /// Fringes change the light by at least this share over half a period.
 const FRINGE_CONTRAST: f32 = 0.12;
 /// Edges wider than this are out of focus or moved, px.
@@ -200,7 +150,7 @@ fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Phase, Refus
         Refusal::new(Kind::NoPhase, format!("the fringes give no phase ({:?})", refused.outcome))
     })?;
     let mut plane = Plane::filled(image.width(), image.height(), f32::NAN);
-    let mut told = Plane::filled(image.width(), image.height(), false);
+    let mut by_marker = Plane::filled(image.width(), image.height(), false);
     let roi = prepared.roi;
     for v in 0..roi.height {
         // What lies beside the runs is any number.
@@ -208,10 +158,10 @@ fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Phase, Refus
             let absolute = prepared.absolute.at(u, v);
             let phase = if absolute.is_nan() { in_patches.at(u, v) } else { absolute };
             plane.set(roi.u + u, roi.v + v, phase);
-            told.set(roi.u + u, roi.v + v, !absolute.is_nan());
+            by_marker.set(roi.u + u, roi.v + v, !absolute.is_nan());
         }
     }
-    Ok(Phase { plane, told, marker: prepared.counts.marker > 0 })
+    Ok(Phase { plane, by_marker, marker: prepared.counts.marker > 0 })
 }
 
 fn look_at_circles(image: Mono8<'_>, board: &Board, camera: &Device) -> Result<View, Refusal> {

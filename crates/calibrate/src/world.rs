@@ -8,7 +8,7 @@
 
 use super::board::Board;
 use super::bundle::{DeviceModel, Model};
-use super::stages::StageError;
+use super::rigging::StageError;
 use crate::data::World;
 use crate::geometry::{Device, best_motion};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};

@@ -10,6 +10,7 @@ mod one_device;
 
 use crate::geometry::Lens;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+pub(super) use observe::project;
 use observe::{BLOCK, linearize, predict};
 pub(super) use one_device::{SeenColumn, column_error, fit_columns};
 

@@ -2,7 +2,7 @@
 //! One device alone, from columns at which it sees points whose places are known: roughly, and whatever share of a view is
 //! some fringes off.
 
-use super::observe::{linearize, predict};
+use super::observe::{linearize, project};
 use super::{DEVICE_PARAMETERS, DeviceModel, Model, Observation, moved};
 use crate::estimate::median;
 use nalgebra::{DVector, Isometry3, Point3, SMatrix, SVector};
@@ -24,8 +24,7 @@ pub type SeenColumn = (Point3<f64>, f64);
 
 /// Predicted minus seen column, px; NaN behind the device.
 pub fn column_error(device: &DeviceModel, (point, column): &SeenColumn) -> f64 {
-    let model = Model { devices: vec![*device], boards: vec![Isometry3::identity()] };
-    predict(&model, &observation(*point, *column)).map_or(f64::NAN, |[u, _]| u - column)
+    project(device, &Isometry3::identity(), point).map_or(f64::NAN, |[u, _]| u - column)
 }
 
 fn observation(point: Point3<f64>, column: f64) -> Observation {
