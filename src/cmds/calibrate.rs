@@ -24,7 +24,7 @@ pub struct Args {
     /// The rig file: its geometry is where the search starts, and the world is where the cameras fit it best.
     #[arg(long, value_name = "FILE")]
     rig: PathBuf,
-    /// The board file.
+    /// The board file, with the centres as measured.
     #[arg(long, value_name = "FILE")]
     board: PathBuf,
     /// A session, or a directory of images CAMERA/INDEX.png; several for positions captured one by one.
@@ -44,13 +44,13 @@ pub struct Args {
     /// With --live: triggers per position, the first in white light, the next with fringes.
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u64).range(2..=100))]
     triggers: u64,
-    /// The calibration to write.
+    /// Write the calibration to this file.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Leave out heads that cannot be calibrated instead of refusing.
     #[arg(long)]
     partial: bool,
-    /// Positions of the board, counted from 1, in which two of its edges were plumb: they say what is vertical.
+    /// Positions of the board, counted from 1, in which two of its edges were plumb: they define the vertical.
     #[arg(long, value_name = "POSITION", num_args = 1..)]
     upright: Vec<usize>,
     /// Positions in which the board lay level, face up or down: likewise.
@@ -64,7 +64,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
+/// Runs `calibrate` and prints what came out.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let rig = Rig::load(&args.rig)?;
     let board = Board::load(&args.board)?;
@@ -112,7 +112,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(if lost { Exit::Corrupt } else { Exit::Done })
 }
 
-/// A wrong number after `--upright` is the command line's fault, not the photographs'.
+/// A wrong number after `--upright` is an error of the command line, not of the photographs.
 fn exit(error: &run::CalibrateError) -> Exit {
     match error {
         run::CalibrateError::Stage { error: StageError::World(_), .. } => Exit::Usage,

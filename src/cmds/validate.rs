@@ -32,7 +32,7 @@ enum What {
     Truth(truth::Args),
 }
 
-/// Runs the command.
+/// Runs the subcommand of `validate`.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match &args.what {
         What::Plane(args) => plane::run(args),
@@ -88,7 +88,7 @@ fn load_cloud(clouds: &Clouds, place: &Place) -> Result<crate::data::Cloud, Fail
     clouds.load(place).map(|(_, cloud)| cloud).map_err(|e| Failure::new(Exit::Corrupt, e))
 }
 
-/// Figures of nothing are no figures: an error where there is none.
+/// An error where nothing was measured: figures of nothing would look like good ones.
 fn of_something(figures: usize, clouds: &Path, expected: &str) -> Result<(), Failure> {
     if figures > 0 {
         return Ok(());

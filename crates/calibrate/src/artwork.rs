@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The board as it is printed: SVG in millimetres, a picture, and the list of its circles.
+//! The board's artwork: SVG in millimetres for print, a picture, and the list of its circles.
 //!
 //! Board y runs upwards, image rows run downwards: row 0 of the grid is at the bottom of both.
 
@@ -8,7 +8,7 @@ use crate::base::image::Plane;
 use crate::base::print::html;
 use std::fmt::Write as _;
 
-/// To be printed at scale 1; circles as designed or as measured, whatever the board file has.
+/// The board as an SVG to be printed at scale 1. Circles are as designed, or as measured where the board file has that.
 pub fn svg(board: &Board) -> String {
     let [width, height] = board.size_m.map(|m| m * 1e3);
     let mut text = format!(

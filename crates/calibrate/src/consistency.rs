@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Does an adjusted head make sense: do all positions agree, are the residuals small, is the size that of the rig file?
+//! Whether an adjusted head is consistent: all positions agree, residuals are small, and sizes are those of the rig file.
 
 use super::estimate::median;
 use super::findings::{Finding, Kind};
@@ -7,15 +7,15 @@ use super::observed::Position;
 use super::rigging::{Excluded, HeadResult, Rigging, StageError};
 use std::collections::BTreeSet;
 
-/// A view contradicts the others when its median residual is so many times theirs...
+/// A view contradicts the others when its median residual is this many times the median of all views.
 const TIMES: f64 = 4.0;
-/// ... and larger than this: circles, image px.
+/// Median residual of circles below which a view never contradicts the others, image px.
 const CIRCLES_PX: f64 = 0.1;
-/// Phases, panel px.
+/// Median residual of phases below which a view never contradicts the others, panel px.
 const PHASES_PX: f64 = 0.1;
 
 impl Excluded {
-    /// Leaves out the views that contradict the others most, and says so. Circles go first: phases depend on them.
+    /// Leaves out the views that contradict the others most, and reports them. Circles go first: phases depend on them.
     pub(super) fn contradicting(&mut self, rigging: &Rigging<'_>, result: &HeadResult) -> Vec<Finding> {
         let circles = medians(result, true);
         let bad = worst(&circles, CIRCLES_PX);
@@ -43,7 +43,7 @@ impl Excluded {
             .collect()
     }
 
-    /// Too much left out is no calibration.
+    /// Refuses a head of which more than half of the views are left out.
     pub(super) fn check(&self, rigging: &Rigging<'_>, head: usize) -> Result<(), StageError> {
         let cameras = rigging.nominal.cameras_of(head);
         let views = |p: &Position| p.views[cameras.clone()].iter().flatten().count();

@@ -6,7 +6,6 @@ use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Vector2, Vector3};
 /// An ellipse in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ellipse {
-    /// Centre (u, v), px.
     pub centre: [f64; 2],
     /// Half axes, the longer first, px.
     pub axes: [f64; 2],

@@ -7,13 +7,11 @@ use std::fmt;
 /// Something that was left out, or looks wrong.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Finding {
-    /// The camera.
     pub camera: CameraId,
     /// The frame; `None` where it is about many.
     pub trigger: Option<TriggerIndex>,
     /// The position of the board, counted from 1 by its white frames; `None` where it is about many or none.
     pub position: Option<usize>,
-    /// What kind of thing it is, for programs.
     pub kind: Kind,
     /// Whether the frame was left out; otherwise it was used as far as it goes.
     pub left_out: bool,
@@ -24,7 +22,6 @@ pub struct Finding {
 /// Why a frame cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Refusal {
-    /// What kind of thing it is, for programs.
     pub kind: Kind,
     /// What was found and what to do, for people.
     pub message: String,
@@ -55,15 +52,14 @@ impl Finding {
     }
 }
 
-/// Kinds of findings.
+/// Kinds of findings, for programs: their names are in the JSON result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// Triggers without a frame.
     NoFrames,
     /// No grid of circles in a white frame.
     NoBoard,
-    /// The larger circles do not lie as the board file says.
+    /// The larger circles do not lie as in the board file.
     WrongBoard,
     /// The board is seen mirrored.
     Mirrored,
@@ -71,13 +67,12 @@ pub enum Kind {
     Ambiguous,
     /// Fewer circles than a view needs.
     FewCircles,
-    /// Edges are too wide.
     Blurred,
     /// The white is at the sensor's limit.
     Saturated,
     /// Circles that should be seen are not.
     Hidden,
-    /// Circles are larger or smaller than the board file says.
+    /// Circles are larger or smaller than in the board file.
     CircleSize,
     /// Fringes in which no marker was found; their orders are those that the board gives.
     NoMarker,

@@ -17,9 +17,9 @@ use std::f64::consts::TAU;
 
 /// Half the window around a point, px.
 const REACH: i64 = 8;
-/// What the black panel's light and stray light of the room do to an exponent.
+/// Systematic standard deviation of an exponent: light of the black panel, and stray light of the room.
 const SYSTEMATIC: f64 = 0.015;
-/// Fewest points.
+/// Fewest points from which a projector's response is taken.
 const LEAST_SAMPLES: usize = 50;
 /// Periods around the marker that are left out.
 const MARKER_PERIODS: f64 = 1.5;

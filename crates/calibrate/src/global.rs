@@ -20,7 +20,7 @@ pub struct Link {
     pub heads: [usize; 2],
     /// Takes the second head's frame to the first's.
     pub first_from_second: Isometry3<f64>,
-    /// Common positions.
+    /// How many positions both heads saw.
     pub positions: usize,
     /// RMS distance of the board's corners between both heads' views, after the relation, m.
     pub rms_m: f64,
@@ -71,10 +71,10 @@ fn mean_pose(poses: impl Iterator<Item = Isometry3<f64>> + Clone) -> Option<Isom
     Some(Isometry3::from_parts(shift.into(), UnitQuaternion::from_scaled_axis(turn) * first.rotation))
 }
 
-/// Everything in one frame.
+/// All heads in one frame, the world: stage 3 makes it, and `run` turns it into the calibration.
 #[derive(Debug, Clone)]
 pub struct Together {
-    /// Stage 3, pairs of heads.
+    /// The relations between pairs of heads, before the last adjustment.
     pub links: Vec<Link>,
     /// Largest corner displacement around a closed loop of heads, m; `None` without a loop.
     pub loop_error_m: Option<f64>,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which position of the board comes next: leads an operator through a calibration. It knows neither cameras nor nodes;
-//! it is told what every position gave.
+//! Which position of the board comes next: leads an operator through a calibration. It knows neither cameras nor nodes,
+//! only what each position gave.
 
 use super::board::Board;
 use super::observed::Position;
@@ -18,17 +18,13 @@ const TILTED_DEG: f64 = 12.0;
 /// How the board should stand before a head.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stand {
-    /// Facing it.
     Facing,
-    /// Its face turned to the right of somebody who looks from the head.
+    /// Its face turned to the right, as seen from the head.
     Right,
-    /// To the left.
     Left,
-    /// Tilted upwards.
     Up,
-    /// Tilted downwards.
     Down,
-    /// In any way that was not there yet.
+    /// In any way that no earlier position had.
     Other,
 }
 
@@ -43,13 +39,13 @@ impl Stand {
             Self::Up => "tilted upwards by 15 degrees",
             Self::Down => "tilted downwards by 15 degrees",
             Self::Other => {
-                "nearer or farther, or turned about its own middle: any way that was not there yet"
+                "nearer or farther, or turned about its own middle: any way that no earlier position had"
             }
         }
     }
 }
 
-/// What to do next.
+/// The next position that the operator is led to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Request {
     /// The board before one head (its place in the rig).
@@ -58,7 +54,7 @@ pub enum Request {
     Between(usize, usize),
 }
 
-/// How far a calibration is.
+/// How far a guided calibration is. The command makes it, adds each position it captured, and drops it at the end.
 pub struct Guide<'a> {
     nominal: &'a Calibration,
     board: &'a Board,
@@ -67,12 +63,12 @@ pub struct Guide<'a> {
 }
 
 impl<'a> Guide<'a> {
-    /// Nothing done yet.
+    /// A calibration without any position yet.
     pub fn new(nominal: &'a Calibration, board: &'a Board) -> Self {
         Self { nominal, board, done: Vec::new() }
     }
 
-    /// Counts a position; says for each head whether it was usable.
+    /// Counts a position; returns for each head whether it was usable.
     pub fn add(&mut self, position: &Position) -> Vec<bool> {
         let mut seen = Vec::new();
         for (place, head) in self.nominal.heads.iter().enumerate() {
@@ -91,7 +87,7 @@ impl<'a> Guide<'a> {
         usable
     }
 
-    /// Forgets the last position.
+    /// Takes the last position away again.
     pub fn undo(&mut self) {
         self.done.pop();
     }
@@ -143,7 +139,7 @@ impl<'a> Guide<'a> {
         let normal = world_from_board.rotation * Vector3::z();
         let back = self.nominal.heads[head].projector.centre().coords - world_from_board.translation.vector;
         let level = Vector3::new(back.x, back.y, 0.0).normalize();
-        // To the right of somebody who looks from the head: away from it, turned by a quarter clockwise from above.
+        // To the right as seen from the head: away from it, turned by a quarter clockwise as seen from above.
         let right = (-level).cross(&Vector3::z());
         let degrees = |share: f64| share.clamp(-1.0, 1.0).asin().to_degrees();
         let (turn, tilt) = (degrees(normal.dot(&right)), degrees(normal.z));
@@ -161,7 +157,7 @@ impl<'a> Guide<'a> {
         }
     }
 
-    /// For the operator.
+    /// The request as a sentence for the operator.
     pub fn words(&self, request: Request) -> String {
         let name = |head: usize| &self.nominal.heads[head].id;
         match request {

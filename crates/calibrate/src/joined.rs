@@ -15,7 +15,7 @@ pub struct Joined {
 
 struct Session {
     parts: Vec<Box<dyn FrameSource>>,
-    /// Its triggers here.
+    /// Its triggers in the joined source.
     triggers: Range<u64>,
     /// The first of them in the parts themselves.
     own_start: u64,
@@ -55,7 +55,7 @@ impl Joined {
         self.sessions.len()
     }
 
-    /// Whether there is none.
+    /// Whether there is no session yet.
     pub fn is_empty(&self) -> bool {
         self.sessions.is_empty()
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which circle of the board each found circle is: grows the grid from neighbour to neighbour, then turns and
-//! shifts it until the larger circles fall on the larger circles.
+//! Identifies the circles that were found: grows their grid from neighbour to neighbour, then turns and shifts the grid
+//! until the larger circles fall on the board's larger circles.
 //!
 //! Partial views, holes and stray circles are expected. A view that fits in no way, in more than one, or only
 //! mirrored is refused with the reason.
@@ -14,20 +14,19 @@ use std::collections::{BTreeMap, VecDeque};
 /// A circle of the board that was found in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
-    /// Number in [`Board::circles`].
+    /// Its number in the list [`Board::circles`].
     pub circle: usize,
-    /// Its outline.
     pub spot: Spot,
 }
 
-/// Fewest circles that say something.
+/// Fewest circles of a grid that can be identified.
 const LEAST: usize = 20;
-/// A neighbour is within this share of the step from where it is expected.
+/// Largest distance of a neighbour from where it is expected, as a share of the step to it.
 const TOLERANCE: f64 = 0.3;
 /// Circles whose size may be judged wrongly (hidden edges, dirt) before a place is no match.
 const MISJUDGED: usize = 1;
 
-/// Names the circles, or says why an image shows no usable board.
+/// The circles with their places on the board, or why the image shows no usable board.
 pub fn identify(spots: &[Spot], board: &Board) -> Result<Vec<Sighting>, Refusal> {
     let places = grow(spots);
     if places.len() < LEAST {
@@ -41,7 +40,7 @@ pub fn identify(spots: &[Spot], board: &Board) -> Result<Vec<Sighting>, Refusal>
     let fits = fits(&places, &large, board);
     let Some(best) = fits.iter().map(|fit| fit.wrong).min() else {
         let message = format!(
-            "the larger circles do not lie as the board file says ({} of {} circles are large): another board, or the code is hidden",
+            "the larger circles do not lie as in the board file ({} of {} circles are large): another board, or the code is hidden",
             large.iter().filter(|is| **is).count(),
             places.len()
         );

@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Computes a calibration from photographs of the board (paper, section 4.2). Its file is [`crate::data::Calibration`].
 //!
-//! `board` describes the artefact, `spots` finds its circles in an image, `lattice` tells which is which, `views` judges
-//! the photographs, `positions` brings those of a position together, `placement` and `consistency` refuse what does not
-//! fit, `bundle` adjusts lenses and poses, `phases` reads fringes at points of the board, `orders` tells which fringes they are,
-//! `rows` finds the panel's rows, which fringes do not tell, `stages` and `global` are
-//! the paper's three stages, `drift` says later how far devices have turned, `world` says where the floor is, `run` is all of it.
-//! `docs/design/calibration.md` has the definitions.
+//! Photographs: `board` describes the board, `spots` finds its circles in an image, `lattice` identifies them, `views`
+//! judges each photograph, `positions` pairs the photographs of a position, and `observed` has what comes out.
+//!
+//! Geometry: `placement` and `consistency` refuse what contradicts itself. `bundle` adjusts lenses and poses, `phases`
+//! reads the fringes at points of the board, `orders` finds the fringe orders, and `rows` finds the panel's rows, which
+//! fringes alone do not determine. `stages` and `global` are the paper's three stages on what `rigging` has, and `world`
+//! places the result above the floor. `run` does all of it; `drift` measures later how far devices have turned.
+//!
+//! `docs/design/calibration.md` has the steps and the definitions.
+#![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]
 
 use fourdbody_core::{base, config, data, formats, geometry};
 use fourdbody_reconstruct as reconstruct;

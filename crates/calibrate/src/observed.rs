@@ -14,9 +14,9 @@ pub(super) const DARK: u8 = 24;
 /// `arrange` makes the positions of a session from all its frames. The stages read them; nothing changes them later.
 #[derive(Debug, Clone)]
 pub struct Position {
-    /// The white frames' trigger.
+    /// The trigger of the white frames.
     pub white: TriggerIndex,
-    /// The fringe frames' trigger; `None` where no camera has one.
+    /// The trigger of the frames with fringes; `None` where no camera has one.
     pub fringes: Option<TriggerIndex>,
     /// What each camera sees, in the calibration's order.
     pub views: Vec<Option<View>>,
@@ -70,7 +70,7 @@ pub struct RidgePixel {
     pub(super) light: f64,
 }
 
-/// What one frame shows.
+/// What one frame shows, judged by itself.
 #[derive(Debug, Clone)]
 pub enum Looked {
     /// There is no frame, for this reason.

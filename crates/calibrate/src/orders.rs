@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which fringes a view of the board shows, read from the board itself.
+//! The fringe orders in a view of the board, found from the board itself.
 //!
 //! A frame by itself has its fringe orders from its marker, and a marker may be misread: then the whole view is some fringes
-//! off. But the board's pose is known by its circles, and with it the column of the panel that lights each of its points. The
-//! projector that most markers agree on is sought first ([`agree`]); what it has at a point says the order there. A view needs
-//! no marker of its own, and no offset of whole fringes can be left in one.
+//! off. But the circles give the board's pose, and the projector's model gives the panel column that lights each point of it.
+//! The projector that most markers agree on is sought first ([`agree`]); its column at a point gives the order there. A view
+//! needs no marker of its own, and no offset of whole fringes can be left in one.
 //!
 //! An offset of whole fringes is never motion: the board would have moved by some 40 mm along the view for each, and its
 //! circles would not be where the white frame has them.
@@ -18,7 +18,7 @@ use std::collections::BTreeSet;
 
 /// Fewest views whose markers must agree.
 const LEAST_AGREEING: usize = 4;
-/// Points of a view by which it is judged.
+/// Most points of a view by which it is judged, evenly spread.
 const POINTS: usize = 40;
 /// A view agrees with a projector that explains its columns to this share of a fringe.
 const AGREES: f64 = 0.25;
@@ -50,7 +50,7 @@ impl Rigging<'_> {
             }
         }
         if places.len() < LEAST_PHASES {
-            // Too little for any projector, which is said elsewhere.
+            // Too little for any projector; `check_phases` reports it.
             return Ok(());
         }
         let (found, agreeing) = agree(&marked, &model.devices[projector], self.nominal.pattern.period_px);
@@ -72,7 +72,7 @@ impl Rigging<'_> {
         readings.into_iter().filter(|reading| marker && reading.by_marker).collect()
     }
 
-    /// The views whose own markers say other orders than the board.
+    /// The views whose own markers give other orders than the board.
     pub(super) fn misread(&self, result: &HeadResult, excluded: &Excluded) -> Vec<Misread> {
         let period = self.nominal.pattern.period_px;
         let views = self.views_with_phase(result.head, &result.positions, excluded).into_iter();
@@ -119,7 +119,7 @@ fn agree(views: &[Vec<SeenColumn>], start: &DeviceModel, period: f64) -> (Device
     best
 }
 
-/// Fits the projector to one view, then to those that it explains, and so on: each adds what the others do not tell.
+/// Fits the projector to one view, then to those that it explains, and so on: each view adds what the others leave open.
 fn grow(views: &[Vec<SeenColumn>], seed: usize, start: &DeviceModel, period: f64) -> (DeviceModel, usize) {
     let mut members = vec![seed];
     // Each round takes in one view at least, or is the last.

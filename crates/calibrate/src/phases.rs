@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the fringes say at points of the board: the panel column that lights each of them.
+//! Reads the fringes at points of the board: the panel column that lights each of them.
 //!
 //! A phase is known modulo whole turns. Within a window the slope that the board's pose gives brings all pixels to one turn;
 //! over the whole view the projector's model does ([`super::orders`]).
@@ -30,11 +30,11 @@ const STEP_M: f64 = 1e-3;
 /// A point of the board in one view.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reading {
-    /// Board frame, m.
+    /// The point in the board's frame, m.
     pub(super) point: Point3<f64>,
     /// The panel column that lights it by the projector's model, px.
     pub(super) expected: f64,
-    /// The one that its phase says, px: but for whole fringes.
+    /// The panel column of its phase, px; whole fringes may be missing.
     pub(super) column: f64,
     /// Standard deviation of that, px.
     pub(super) sigma_px: f64,
@@ -43,7 +43,7 @@ pub(super) struct Reading {
 }
 
 impl Reading {
-    /// How much more its phase says than expected, px.
+    /// How much larger the column of its phase is than expected, px.
     pub(super) fn excess(&self) -> f64 {
         self.column - self.expected
     }
@@ -77,8 +77,8 @@ impl Rigging<'_> {
         .collect()
     }
 
-    /// What the phase of a view says at points of the white field: between circles that were seen in both frames, so that
-    /// nothing stands in front of the point.
+    /// Reads the phase of a view at points between circles that were seen in both frames, so that nothing stands in front
+    /// of the point.
     pub(super) fn readings(&self, head: usize, which: Which, model: &Model) -> Vec<Reading> {
         let nominal = &self.nominal.heads[head];
         let Ok(pair) = CameraProjector::new(nominal, &nominal.cameras[which.camera], self.nominal) else {
@@ -112,7 +112,7 @@ impl Rigging<'_> {
         seen.filter_map(|(point, _)| read(point)).collect()
     }
 
-    /// What the projector "saw" of the white field, through the phase in one camera's frames, with the fringe orders that
+    /// The projector's observations between the circles, from the phase in one camera's frames, with the fringe orders that
     /// the board gives each view.
     pub(super) fn phases(
         &self,
@@ -205,7 +205,7 @@ fn column_at(
     if rms > 0.3 {
         return None;
     }
-    // Neighbouring phases share most of their pixels: count one in so many as independent.
+    // Phases within a period share most of their pixels: one pixel per period counts as independent.
     let independent = rows.len() as f64 / pair.period_px.max(1.0) as f64;
     let sigma = rms.max(0.005) / independent.sqrt() * pair.pattern.period_px / TAU;
     Some((pair.pattern.column(fit[0]), sigma, 2 * marked > rows.len()))

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Do the cameras stand where the rig file says? Two cameras whose cables or files were exchanged see the board where
-//! it is not; an adjustment would follow them, and all numbers would look good.
+//! Checks that the cameras stand where the rig file has them. Two cameras whose cables or files were exchanged see the board
+//! where it is not. An adjustment would follow them, and all numbers would look good.
 
 use super::board::Board;
 use super::estimate::median;
@@ -52,7 +52,7 @@ pub fn check_placement(
         }
     }
     Err(StageError::Refused(format!(
-        "cameras {} and {} see the board {} mm apart with the geometry of the rig file, expected at most 250. Correct the rig file, or find out which camera is not where it says",
+        "cameras {} and {} see the board {} mm apart with the geometry of the rig file, expected at most 250. Correct the rig file, or find the camera that is not where the file has it",
         name(a),
         name(b),
         (worst * 1e3) as u32
@@ -64,7 +64,7 @@ struct Scene<'a> {
     seen: Vec<Vec<Option<Isometry3<f64>>>>,
     /// By camera, `world_from_camera` of the rig file.
     places: Vec<Isometry3<f64>>,
-    /// By camera, its head.
+    /// By camera, the name of its head.
     heads: Vec<&'a str>,
     corners: [Point3<f64>; 4],
 }

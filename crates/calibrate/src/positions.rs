@@ -137,7 +137,7 @@ impl Confirmed {
 }
 
 /// Looks for the circles of a view in a frame with fringes. A circle is there when it is dark all over while its
-/// surroundings are lit: elsewhere, some of so many samples would lie on bright fringes.
+/// surroundings are lit: elsewhere, some of the samples would lie on bright fringes.
 fn confirm(view: &View, image: &Plane<u8>, board: &Board) -> Confirmed {
     let mut confirmed = Confirmed { circles: vec![false; board.circles().len()], dark: 0, lit: 0 };
     for sighting in &view.sightings {

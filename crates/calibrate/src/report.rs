@@ -12,11 +12,11 @@ use nalgebra::Point3;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Residual vectors are drawn so many times longer than they are.
+/// Factor by which residual vectors are drawn longer than they are.
 const MAGNIFIED: f64 = 400.0;
-/// At most so many phases are drawn per projector.
+/// Most phases that are drawn per projector: more would only make the page larger.
 const MOST_PHASES: usize = 4000;
-/// Colours of positions, repeated.
+/// Colours of positions of the board; they repeat after ten.
 pub(super) const COLOURS: [&str; 10] = [
     "#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22",
     "#17becf",
@@ -33,7 +33,7 @@ pub fn write(outcome: &Outcome, directory: &Path) -> std::io::Result<PathBuf> {
     Ok(path)
 }
 
-/// The whole page.
+/// The report of a calibration as one HTML page.
 pub fn page(outcome: &Outcome) -> String {
     let calibration = &outcome.calibration;
     let mut out = format!(

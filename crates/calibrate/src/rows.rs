@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which rows of the panel the projector's rows are.
+//! Where the panel's rows are.
 //!
-//! Fringes say on which column of the panel a point lies, and a projector that is adjusted to columns alone has its rows where
-//! the rig file had them: its place along its rows, and focal length and principal point along them, are in no column. No
-//! point of a cloud depends on it. But the marker's dashes do lie on rows, and tell them modulo their period: what the
-//! geometry's row `v` at distance `z` has too much is, to first order in all three,
+//! Fringes give the panel's column of a point only. A projector that is adjusted to columns keeps its rows where the rig file
+//! had them: no column depends on its place along its rows, or on focal length and principal point along them. No point of
+//! a cloud depends on these either. But the marker's dashes lie on rows, and give them modulo the dashes' period. The
+//! geometry's row `v` at distance `z` is too large, to first order in all three, by
 //!
 //! ```text
 //! a + b v + c / z
 //! ```
 //!
 //! It is fitted to the dashes on the board, in stretches of two (`reconstruct::marker::epipolar_check`), as a correction that is kept beside the
-//! geometry. With it a photograph's own dashes tell whose calibration it is.
+//! geometry. With it the dashes of a photograph show whether it belongs to the calibration.
 
 use super::marker_check::ridges;
 use super::observed::{Position, RidgePixel, View};
@@ -27,13 +27,15 @@ use std::f64::consts::TAU;
 /// Fewest stretches that three numbers are taken from.
 const LEAST_STRETCHES: usize = 30;
 
-/// Share of the stretches that must agree with them, to within this much, px of the panel.
+/// Share of the stretches that must agree with the three numbers.
 const LEAST_AGREEING: f64 = 0.8;
+/// A stretch agrees when its rows are within this, px of the panel.
 const AGREE_PX: f64 = 0.5;
 
-/// What is tried for the second and the third number: so many steps to each side, and how large they are, px per panel height and
-/// px m. A step moves a row of the shipped panel by 2 px at most, a quarter of the dashes' period.
+/// Values tried for `b`: steps to each side, and their size, px per panel height. A step moves a row by 2 px at most, a
+/// quarter of the dashes' period.
 const SCALES: (i32, f64) = (6, 2.0);
+/// Values tried for `c`: steps to each side, and their size, px m. A step moves a row by 2 px at most, too.
 const NEARNESSES: (i32, f64) = (8, 4.0);
 
 /// Rounds in which the fit leaves out what it does not explain.
@@ -68,8 +70,8 @@ struct Seen {
     excess: f64,
 }
 
-/// Finds the panel's rows of the heads of `result`, which came of `heads`. Those whose dashes do not
-/// tell them keep none.
+/// Finds the panel's rows of the heads of `result`, which were adjusted as `heads`. A head whose dashes do not agree on
+/// them keeps none.
 pub(super) fn find_rows(
     result: &mut Calibration,
     nominal: &Calibration,

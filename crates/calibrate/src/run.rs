@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A whole calibration: looks through the photographs, runs the three stages, and says how well it went.
+//! A whole calibration: judges the photographs, runs the three stages, and reports how well it went.
 
 use super::advice::advice;
 use super::board::Board;
@@ -19,10 +19,9 @@ use crate::data::{
     HeadLink, HeadVolume, Identity, Quality, Response, ValidVolume, World,
 };
 
-/// A calibration and how it came to be.
+/// A calibration and how it came to be: `calibrate` makes it, and the command prints, reports and drops it.
 #[derive(Debug)]
 pub struct Outcome {
-    /// The result.
     pub calibration: Calibration,
     /// What was left out, and why.
     pub findings: Vec<Finding>,
@@ -30,7 +29,7 @@ pub struct Outcome {
     pub positions: Vec<Position>,
     /// Stages 1 and 2, per head.
     pub heads: Vec<HeadResult>,
-    /// Stage 3.
+    /// Stage 3: all heads in one frame.
     pub together: Together,
     /// Outer size of the board (x, y), m.
     pub board_size_m: [f64; 2],
@@ -44,24 +43,19 @@ pub enum CalibrateError {
     Source(String),
     /// A stage failed; with everything that was left out before.
     #[error("{error}{}", list(.findings))]
-    Stage {
-        /// What failed.
-        error: StageError,
-        /// What was left out.
-        findings: Vec<Finding>,
-    },
+    Stage { error: StageError, findings: Vec<Finding> },
 }
 
 fn list(findings: &[Finding]) -> String {
     findings.iter().map(|finding| format!("\n  {finding}")).collect()
 }
 
-/// What is asked of a calibration beside the photographs.
+/// What the operator chooses for a calibration, beside the photographs.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
     /// Leave out heads without photographs instead of refusing.
     pub partial: bool,
-    /// Positions of the board that say what is vertical.
+    /// Positions of the board in which it stood upright or lay level: they define the vertical.
     pub verticals: Vec<Vertical>,
 }
 
@@ -86,7 +80,7 @@ pub fn calibrate(
     Ok(outcome)
 }
 
-/// Calibrates from positions that were looked at already.
+/// Calibrates from positions that `views::look` has found.
 pub fn solve(
     positions: Vec<Position>,
     mut findings: Vec<Finding>,
@@ -139,7 +133,7 @@ pub fn solve(
     Ok(Outcome { calibration: result, findings, positions, heads, together, board_size_m: board.size_m })
 }
 
-/// What the projectors make of panel values, by head.
+/// The measured response of each head's projector to panel values.
 fn responses(nominal: &Calibration, positions: &[Position], used: &[usize]) -> Vec<(HeadId, Response)> {
     let of_head = |&place: &usize| {
         let cameras = nominal.cameras_of(place);
@@ -230,7 +224,7 @@ fn uncertainty(device: String, adjusted: &Adjusted, number: usize) -> DeviceUnce
 }
 
 impl Outcome {
-    /// For people.
+    /// The result in lines that the command prints.
     pub fn lines(&self) -> Vec<String> {
         let mut lines = vec![format!("{} positions of the board", self.positions.len())];
         let Some(quality) = &self.calibration.quality else { return lines };
@@ -246,7 +240,7 @@ impl Outcome {
                 format!("  rows of {}'s panel, by the marker's dashes: {:.4} px rms", head.id, rows.rms_px)
             }
             None => format!(
-                "  rows of {}'s panel: too few dashes agree to tell; no photograph will be judged by its own",
+                "  rows of {}'s panel: too few of the marker's dashes agree; no photograph will be checked by its dashes",
                 head.id
             ),
         }));

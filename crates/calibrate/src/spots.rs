@@ -11,10 +11,9 @@ use super::estimate::median;
 use crate::base::image::{Mono8, Plane};
 use std::ops::RangeInclusive;
 
-/// A circle's image.
+/// The image of one black circle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spot {
-    /// Its outline.
     pub ellipse: Ellipse,
     /// RMS distance of the outline's points from the ellipse, px.
     pub rms_px: f64,
@@ -28,7 +27,7 @@ pub struct Spot {
 
 /// Side of the blocks in which the white level is looked for, px.
 const BLOCK: usize = 16;
-/// White is the lightest of so many blocks around.
+/// White is the lightest level within this many blocks to each side.
 const REACH: usize = 4;
 /// Darker than this share of the white around is dark.
 const DARK: f32 = 0.5;
@@ -36,7 +35,7 @@ const DARK: f32 = 0.5;
 const AREA: RangeInclusive<usize> = 40..=12_000;
 /// Rays on which the outline is looked for.
 const RAYS: usize = 64;
-/// Least contrast, grey levels.
+/// Least contrast between a circle and the white around it, grey levels.
 const LEAST_CONTRAST: f64 = 12.0;
 /// Largest RMS distance of the outline from an ellipse, px.
 const LARGEST_RMS: f64 = 0.35;

@@ -19,7 +19,7 @@ use crate::geometry::Device;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use std::f64::consts::TAU;
 
-/// Standard deviation of a circle's centre, px, before the residuals say better.
+/// Standard deviation of a circle's centre at the start, px; afterwards it is that of the residuals.
 const CIRCLE_SIGMA_PX: f64 = 0.02;
 /// Fewest positions that each camera of a head must have seen itself.
 const LEAST_VIEWS: usize = 4;
@@ -205,7 +205,7 @@ impl Rigging<'_> {
     }
 
     /// A projector that sees columns only: fy and cy are in no column and k3 is held, k2 and the tangential terms are
-    /// loosely known, and nothing but the design says where it is along its rows.
+    /// loosely known, and its place along its rows is known from the design alone.
     pub(super) fn priors(&self, head: usize) -> Vec<Prior> {
         let devices = self.starting_devices(head);
         let device = devices.len() - 1;

@@ -26,11 +26,9 @@ use std::sync::Arc;
 /// What lights the board in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Light {
-    /// Nothing.
     Dark,
-    /// White, evenly or not.
+    /// White light, even or not.
     White,
-    /// The fringe pattern.
     Fringes,
 }
 
@@ -42,7 +40,7 @@ const BLUR_PX: f64 = 2.5;
 const SATURATED: f64 = 253.0;
 /// Share of saturated circles above which a view is left out; fewer are left out one by one.
 const MOST_SATURATED: f64 = 0.25;
-/// Circles below which a view says too little.
+/// Fewest circles of a view that is used.
 const LEAST_CIRCLES: usize = 30;
 
 /// What lights the board: fringes of about `period_px` columns, or not.
@@ -205,8 +203,9 @@ fn look_at_circles(image: Mono8<'_>, board: &Board, camera: &Device) -> Result<V
     })
 }
 
-/// Circles may seem larger or smaller than the board file says by this share, and by this many px: what blooming does.
+/// Circles may seem larger or smaller than in the board file by this share, as blooming makes them.
 const SIZE_SHARE: f64 = 0.04;
+/// Circles may seem larger or smaller by this many px in addition.
 const SIZE_PX: f64 = 0.4;
 
 /// The pitch gives the distance, the distance the size: another board of the same code has another proportion.
@@ -214,7 +213,7 @@ fn check_sizes(sightings: &[Sighting], board: &Board, camera: &Device) -> Result
     let Some(pose) = board_pose(board, sightings, &camera.lens) else {
         return Err(Refusal::new(
             Kind::FewCircles,
-            "the circles do not tell where the board is. Show more of it",
+            "the circles do not determine where the board is. Show more of it",
         ));
     };
     let ratios: Vec<(f64, f64)> = sightings
@@ -232,7 +231,7 @@ fn check_sizes(sightings: &[Sighting], board: &Board, camera: &Device) -> Result
     Err(Refusal::new(
         Kind::CircleSize,
         format!(
-            "circles are {:.0} % as large as the board file says for their distance from each other, expected 100 +- {:.0} %. Is it the file of this board?",
+            "circles are {:.0} % as large as in the board file for their distance from each other, expected 100 +- {:.0} %. Is it the file of this board?",
             100.0 * ratio,
             100.0 * limit
         ),

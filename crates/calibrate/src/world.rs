@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The world of a calibration. Photographs of a board say how the devices stand to each other, but not where the floor is:
+//! The world of a calibration. Photographs of a board show how the devices stand to each other, but not where the floor is:
 //! the adjustment holds one camera where the rig file has it, and its error of half a degree there would be the world's.
 //!
 //! So the adjusted devices are moved together, rigidly, to where they fit the rig file best: each camera votes with its
 //! place and with its attitude, as much as a rig file is usually wrong in either. A position of the board that was set up
-//! with a spirit level says better what is vertical; then the world is turned to it.
+//! with a spirit level shows better what is vertical; then the world is turned to it.
 
 use super::board::Board;
 use super::bundle::{DeviceModel, Model};
@@ -18,7 +18,7 @@ const RIG_FILE: (f64, f64) = (0.010, 0.010);
 /// A vertical that is declared must agree with the rig file to this, rad: a wrong number of a position does not.
 const DECLARED: f64 = 10.0 / 180.0 * std::f64::consts::PI;
 
-/// What the operator says of one position of the board; positions are counted from 1, as everywhere in reports.
+/// What the operator declares of one position of the board; positions are counted from 1, as everywhere in reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Vertical {
     /// Two of its edges were plumb.
@@ -66,9 +66,9 @@ fn nearest_motion(poses: &[(Isometry3<f64>, Isometry3<f64>)]) -> Option<Isometry
     best_motion(&pairs.collect::<Vec<_>>())
 }
 
-/// Moves a model whose frame is anyone's into the world. `nominal` has a device for each of the model's; `is_camera` says
-/// which vote: what a projector sees does not say where it is along its rows. `positions` has the number (from 0) of each of
-/// the model's boards.
+/// Moves a model of any frame into the world. `nominal` has a device for each of the model's, and whether it is a camera.
+/// Cameras vote; projectors do not, because their place along their rows is not measured. `positions` has the number
+/// (from 0) of each of the model's boards.
 pub(super) fn into_world(
     model: &mut Model,
     nominal: &[(Device, bool)],

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 
 /// Measure the distances between the outermost circles on both diagonals of the board, from edge to edge, per head.
 ///
-/// The edges are found in the clouds' intensities with what the calibration says of the fringes there; with --session in
+/// The edges are found in the clouds' intensities, with the fringes that the calibration has there; with --session in
 /// the photographs that the clouds were made of. Without --calibration the fringes at the edges are not known: expect errors
 /// of some tenths of a millimetre.
 #[derive(clap::Args)]
@@ -26,7 +26,7 @@ pub struct Args {
     /// What `fourdbody reconstruct` wrote (with clouds/ in it).
     #[arg(long, value_name = "DIR")]
     clouds: PathBuf,
-    /// The board file.
+    /// The board file, with the centres as measured.
     #[arg(long, value_name = "FILE")]
     board: PathBuf,
     /// The calibration that the clouds were made with.
@@ -57,7 +57,7 @@ struct Missing {
     reason: String,
 }
 
-/// Runs the command.
+/// Runs `validate distance` and prints its table.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let board = Board::load(&args.board)?;
     let calibration = find_calibration(args.calibration.as_deref(), &args.clouds)?;
@@ -80,7 +80,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(if rows.is_empty() { Exit::Corrupt } else { Exit::Done })
 }
 
-/// One head at one trigger; the inner error says why there is nothing to measure.
+/// One head at one trigger; the inner error is the reason why it cannot be measured.
 fn measure(
     board: &Board,
     calibration: Option<&Calibration>,

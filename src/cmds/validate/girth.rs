@@ -49,7 +49,7 @@ struct Row {
     difference_mm: Option<f64>,
 }
 
-/// Runs the command.
+/// Runs `validate girth` and prints its table.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let set = open_clouds(&args.clouds)?;
     let mut rows = Vec::new();
@@ -73,7 +73,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// A girth that was asked for and is not there is a failure, not an empty row.
+/// A requested girth that is not there is a failure, not an empty row.
 fn check(args: &Args, rows: &[Row]) -> Result<(), Failure> {
     let of = |name: &str| rows.iter().any(|r| r.name == name || r.name.starts_with(&format!("{name}:")));
     if let Some((name, height)) = args.at.iter().find(|(name, _)| !of(name)) {

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 /// Fit a plane to the board's points, per camera and per head (both cameras together).
 ///
 /// Without --board the largest plane is the board, and the convex hull of its points its outline. With --board the circles
-/// tell where the board is. Points near the outline (--margin-mm) are left out; points of the board that are more than
+/// give the board's pose. Points near the outline (--margin-mm) are left out; points of the board that are more than
 /// 10 mm off the plane have a wrong fringe order: they are counted (left_out), not averaged.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  fourdbody validate plane --clouds out --board config/board.toml")]
@@ -23,7 +23,7 @@ pub struct Args {
     /// What `fourdbody reconstruct` wrote (with clouds/ in it).
     #[arg(long, value_name = "DIR")]
     clouds: PathBuf,
-    /// The calibration, which tells the cameras that make a head [default: that beside the clouds].
+    /// The calibration, which names the cameras of each head [default: that beside the clouds].
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
     /// The board file, to find the board by its circles.
@@ -49,7 +49,7 @@ struct Row {
     flatness: Flatness,
 }
 
-/// Runs the command.
+/// Runs `validate plane` and prints its table.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let calibration = load_calibration(args.calibration.as_deref(), &args.clouds)?;
     let board = args.board.as_ref().map(|path| Board::load(path)).transpose()?;

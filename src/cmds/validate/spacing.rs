@@ -35,7 +35,7 @@ struct MergedRow {
     spacing: Merged,
 }
 
-/// Runs the command.
+/// Runs `validate spacing` and prints its tables.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let set = open_clouds(&args.clouds)?;
     let (mut clouds, mut all) = (Vec::new(), Vec::new());

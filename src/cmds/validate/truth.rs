@@ -33,7 +33,7 @@ pub struct Args {
     /// What `fourdbody reconstruct` wrote (with clouds/ and merged/ in it).
     #[arg(long, value_name = "DIR")]
     clouds: PathBuf,
-    /// Directory of CAMERA_INDEX.npz files.
+    /// Directory of truth files, CAMERA_INDEX.npz each.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["sphere", "mesh"])]
     truth: Option<PathBuf>,
     /// The calibration that the scene was rendered with [default: that beside the clouds].
@@ -45,7 +45,7 @@ pub struct Args {
     /// Score against a mesh instead: a closed surface as Wavefront OBJ, world axes, m.
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
-    /// The photographs (a session, or a directory of CAMERA/INDEX.png): completeness and uncertainties are told by modulation, too.
+    /// The photographs (a session, or a directory of CAMERA/INDEX.png): completeness and uncertainties are counted by modulation, too.
     #[arg(long, value_name = "SESSION", requires = "truth")]
     images: Option<PathBuf>,
     /// Print one JSON object instead of a table.
@@ -62,7 +62,7 @@ pub struct Args {
 /// A truth file: its camera's number in the calibration, and its trigger.
 type Key = (u64, usize);
 
-/// Runs the command.
+/// Runs `validate truth` and prints its tables.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match (&args.truth, &args.calibration, args.sphere, &args.mesh) {
         (None, _, Some(sphere), None) => solid(args, |points| score_sphere(points, &sphere)),
@@ -127,7 +127,7 @@ fn parse_sphere(text: &str) -> Result<Sphere, String> {
     }
 }
 
-/// Scores against rendered truth.
+/// Scores clouds against rendered truth, camera by camera.
 fn rendered(args: &Args, directory: &Path, calibration: Option<&Path>) -> Result<Exit, Failure> {
     let calibration = load_calibration(calibration, &args.clouds)?;
     let rows = bin_rows(&args.clouds)?;

@@ -25,19 +25,18 @@ pub const DEVICE_PARAMETERS: usize = LENS_PARAMETERS + POSE_PARAMETERS;
 pub const DEVICE_PARAMETER_NAMES: [&str; DEVICE_PARAMETERS] =
     ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "rx", "ry", "rz", "tx", "ty", "tz"];
 
-/// A camera or projector.
+/// A camera or a projector as the adjustment sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DeviceModel {
-    /// Intrinsics and distortion.
     pub lens: Lens,
     /// Takes coordinates of the common frame to the device's.
     pub device_from_frame: Isometry3<f64>,
 }
 
-/// Everything that is estimated.
+/// Everything that an adjustment estimates: devices and positions of the board.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
-    /// Cameras and projectors.
+    /// Cameras and projectors; observations name them by place.
     pub devices: Vec<DeviceModel>,
     /// Per position of the board: takes board coordinates to the common frame.
     pub boards: Vec<Isometry3<f64>>,
@@ -46,9 +45,9 @@ pub struct Model {
 /// A point of the board that a device saw.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
-    /// Which device.
+    /// Place among the model's devices.
     pub device: usize,
-    /// Which position of the board.
+    /// Place among the model's positions of the board.
     pub board: usize,
     /// The point, board frame, m.
     pub point: Point3<f64>,
@@ -56,27 +55,24 @@ pub struct Observation {
     pub measured: [f64; 2],
     /// Standard deviation of that, px.
     pub sigma_px: f64,
-    /// Only the column counts.
+    /// Whether only the column was measured, as by a projector.
     pub columns_only: bool,
 }
 
 /// What is known of a device's parameter beforehand.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prior {
-    /// Which device.
     pub device: usize,
     /// Which of its parameters: a lens parameter, or a shift (the last three).
     pub parameter: usize,
-    /// Its value.
     pub mean: f64,
     /// How well it is known; 0: it is held.
     pub sigma: f64,
 }
 
-/// An adjusted model.
+/// An adjusted model: `adjust` makes it, and the stages keep one per head and one of all heads.
 #[derive(Debug, Clone)]
 pub struct Adjusted {
-    /// The estimate.
     pub model: Model,
     /// Predicted minus measured, px, by observation; NaN where it is behind the device.
     pub residuals: Vec<[f64; 2]>,
@@ -90,7 +86,7 @@ pub struct Adjusted {
 
 /// Residuals beyond this many standard deviations count less (Cauchy's loss).
 const ROBUST: f64 = 3.0;
-/// Steps at most.
+/// Most steps of one adjustment; a good start needs about ten.
 const MAX_STEPS: usize = 100;
 /// Converged when a step lowers the cost by less than this share.
 const TOLERANCE: f64 = 1e-10;

@@ -7,16 +7,19 @@ use super::{DEVICE_PARAMETERS, DeviceModel, Model, Observation, moved};
 use crate::estimate::median;
 use nalgebra::{DVector, Isometry3, Point3, SMatrix, SVector};
 
-/// How far off the start may be: focal length as a share, principal point (px), first radial term, turns (rad), and shifts (m)
-/// across and along the view. What columns do not tell is held.
+/// How far off the focal length may be in a rig file, as a share of it.
 const FOCAL: f64 = 0.03;
+/// How far off the principal point's column may be, px.
 const CENTRE_PX: f64 = 20.0;
+/// How far off the first radial term may be: lenses are taken from a data sheet, without distortion.
 const RADIAL: f64 = 0.1;
+/// How far off each angle may be, rad.
 const TURN: f64 = 0.05;
+/// How far off the place may be, across and along the view, m. Columns do not determine the third shift: it is held.
 const SHIFT_M: f64 = 0.05;
-/// Rounds of least squares.
+/// Rounds of least squares: from a rig file to a hundredth of a pixel.
 const ROUNDS: usize = 8;
-/// How well a column is known at best, px: what is sought is whole fringes.
+/// How well a column is known at best, px: the fit is only to find whole fringes.
 const LEAST_PX: f64 = 0.05;
 
 /// A point of the common frame, m, and the column at which it is seen, px.
@@ -53,7 +56,7 @@ pub fn fit_columns(start: &DeviceModel, seen: &[SeenColumn]) -> DeviceModel {
         let mut normal = SMatrix::<f64, DEVICE_PARAMETERS, DEVICE_PARAMETERS>::zeros();
         let mut right = SVector::<f64, DEVICE_PARAMETERS>::zeros();
         for (i, off) in off.iter().enumerate() {
-            // Held, or as likely as said; one column in LEAST_PX is the unit.
+            // Held, or as likely as stated above; one column known to LEAST_PX has the weight 1.
             let weight = if *off > 0.0 { (LEAST_PX / off).powi(2) } else { 1e12 };
             normal[(i, i)] = weight;
             right[i] = -weight * change[i];

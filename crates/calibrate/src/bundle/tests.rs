@@ -74,7 +74,7 @@ fn observations(model: &Model, sigma: f64, seed: u64) -> Vec<Observation> {
     all
 }
 
-/// A projector that sees columns only says nothing of where it is along its rows.
+/// A projector that sees columns only does not determine its place along its rows.
 fn priors(model: &Model) -> Vec<Prior> {
     let projector = &model.devices[2];
     let held = |parameter: usize, mean: f64, sigma: f64| Prior { device: 2, parameter, mean, sigma };
@@ -204,7 +204,7 @@ fn stated_uncertainty_is_the_spread() {
     check_spread(30);
 }
 
-/// The figures of docs/validation.md.
+/// Prints the figures of docs/validation.md on stated deviations.
 #[test]
 #[ignore = "200 adjustments, minutes: cargo test --release -p fourdbody-calibrate --lib bundle -- --include-ignored --nocapture"]
 fn stated_uncertainty_is_the_spread_over_many_seeds() {

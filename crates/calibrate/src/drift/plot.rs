@@ -14,7 +14,7 @@ const LEFT: f64 = 64.0;
 const TOP: f64 = 40.0;
 const RIGHT: f64 = 760.0;
 const BOTTOM: f64 = 390.0;
-/// What may be reached lies so high, where nothing is higher.
+/// The plot's height over the limit, where no device has moved further.
 const ROOM: f64 = 1.5;
 
 /// The plot; sessions in the order of their recording.
@@ -134,7 +134,7 @@ impl<'a> Plot<'a> {
         }
     }
 
-    /// Where another calibration begins.
+    /// Marks the sessions from which on another calibration was checked.
     fn calibrations(&self, out: &mut String, history: &[Checked]) {
         for pair in history.windows(2).filter(|pair| pair[0].calibration_sha256 != pair[1].calibration_sha256)
         {

@@ -15,9 +15,9 @@ pub(super) struct Sighting {
     pub sight: Vector3<f64>,
     /// Its distance from the camera by the calibration, m.
     pub distance_m: f64,
-    /// Absolute phase there, rad.
+    /// Absolute phase of the camera at that pixel, rad.
     pub phase: f64,
-    /// The other camera.
+    /// The other camera, by its place in the calibration.
     pub other: usize,
     /// Where that one sees the place by the calibration, px.
     pub at: [f64; 2],
@@ -26,10 +26,10 @@ pub(super) struct Sighting {
     pub other_slope: [f64; 2],
 }
 
-/// A pixel in so many is a place, along rows and columns: neighbours have much of their error in common.
+/// Distance of the places that are compared, along rows and columns, px: neighbours have most of their error in common.
 const STEP_PX: usize = 24;
 
-/// Where two cameras differ by more they see two surfaces, or one is a fringe off, rad.
+/// Largest difference of two cameras that counts, rad: beyond it they see two surfaces, or one is a fringe off.
 const SAME_SURFACE_RAD: f64 = 1.5;
 
 /// The phases of one camera, pixel by pixel.
@@ -128,7 +128,7 @@ pub(super) fn place(camera: &Device, sight: &Vector3<f64>, distance_m: f64) -> P
     camera.centre() + camera.world_from_device.isometry().rotation * sight * distance_m
 }
 
-/// All of one instant. Maps by their camera's place in the calibration.
+/// All sightings of one instant. Maps come with their camera's place in the calibration.
 pub(super) fn of(calibration: &Calibration, maps: &[(usize, PhaseMap)]) -> Vec<Sighting> {
     let cameras: Vec<_> = calibration.cameras().collect();
     let phases: Vec<(usize, Phases)> = maps.iter().map(|(camera, map)| (*camera, Phases::new(map))).collect();

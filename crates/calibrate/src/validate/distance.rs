@@ -24,7 +24,6 @@ const TRIED: usize = 8;
 /// What one camera has of the board.
 #[derive(Debug, Clone, Copy)]
 pub struct Sight<'a> {
-    /// Its cloud.
     pub cloud: &'a Organized<'a>,
     /// What lights it, where the calibration is known.
     pub light: Option<Light<'a>>,
@@ -39,9 +38,9 @@ pub struct Diagonals {
     pub ends: [[[usize; 2]; 2]; 2],
     /// Mean of outer and inner distance of each diagonal, mean of the cameras, mm.
     pub diagonal_mm: [f64; 2],
-    /// What the board says, mm.
+    /// The same distances in the board file, mm.
     pub board_mm: [f64; 2],
-    /// Measured minus board, mm.
+    /// Measured distance minus the board file's, mm.
     pub error_mm: [f64; 2],
     /// The errors of each camera alone, mm.
     pub error_of_camera_mm: Vec<[f64; 2]>,
@@ -54,7 +53,7 @@ pub struct Diagonals {
     pub edge_rms: f64,
 }
 
-/// Measures both diagonals with all cameras of a head; an error says what is not seen.
+/// Measures both diagonals with all cameras of a head. The error names what is not seen.
 pub fn diagonals(sights: &[Sight<'_>], board: &Board) -> Result<Diagonals, String> {
     let mut rings: Vec<Vec<Ring>> = Vec::new();
     for sight in sights {

@@ -27,9 +27,9 @@ const PIXEL_PX: f64 = 0.29;
 const BLUR_PX: f64 = 0.6;
 /// Reach of the blur's kernel, px.
 const BLUR_REACH: usize = 2;
-/// What a black circle takes from the light, where that is not seen.
+/// Share of the light that a black circle takes, where the inside of the circle is not seen.
 const BLACK: f64 = 0.95;
-/// Period of the fringes where nothing tells it, px.
+/// Period of the fringes where there is no calibration, px.
 const PERIOD_PX: f64 = 11.0;
 /// Pixels beyond the circle that are explained with it: along u beside the window, and along v.
 const RIM: f64 = 6.0;
@@ -48,9 +48,7 @@ type Unknowns = SVector<f64, UNKNOWNS>;
 /// The head that lights the board.
 #[derive(Debug, Clone, Copy)]
 pub struct Light<'a> {
-    /// Its projector.
     pub projector: &'a Device,
-    /// The pattern.
     pub pattern: &'a Pattern,
 }
 
@@ -94,7 +92,7 @@ impl Edge {
         self.surface.at(pixel).coords
     }
 
-    /// The middle, world, m.
+    /// The middle of the circle, world, m.
     pub(super) fn centre(&self) -> Vector3<f64> {
         self.point(self.middle)
     }
@@ -158,7 +156,7 @@ pub(super) fn find(
     (fits && rms < WORST_RMS).then_some(edge)
 }
 
-/// Which unknowns what is seen can tell.
+/// Which unknowns are free: contrast with a calibration, blackness with a photograph.
 #[derive(Clone, Copy)]
 struct Free {
     contrast: bool,

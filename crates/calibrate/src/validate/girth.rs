@@ -24,7 +24,7 @@ use std::f64::consts::TAU;
 pub const BAND_M: f64 = 0.004;
 /// Points in neighbouring cells of this side are of one loop, m: gaps of twice as much always part.
 pub const LINK_M: f64 = 0.01;
-/// Where the surface lies flatter than this (|normal's z|), it says nothing about the contour.
+/// Largest |z| of a normal that counts: a flatter surface does not determine the contour.
 const FLATTEST: f32 = 0.85;
 /// Fewest points of a loop.
 const LEAST_POINTS: usize = 150;
@@ -44,9 +44,7 @@ const FOLD_M: f64 = 0.01;
 /// A point of the surface: where it is, and its unit normal.
 #[derive(Debug, Clone, Copy)]
 pub struct SurfacePoint {
-    /// World, m.
     pub position_m: [f32; 3],
-    /// Unit, outwards.
     pub normal: [f32; 3],
 }
 

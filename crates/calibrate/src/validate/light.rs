@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which pixels of a photograph carry fringes that can be used, told by the photograph and the truth.
+//! Which pixels of a photograph carry usable fringes, by the photograph and the truth.
 //!
 //! A pixel's modulation is the slope of the light on the cosine of the *true* phase, over the pixels of its row that
 //! are within half a fringe of it and on the same lit surface: the fringe's amplitude in DN, whatever any method of
 //! demodulation makes of it. Where the surface ends or its shadow begins within half a fringe, the fringe around the
-//! pixel is not whole; such pixels are told apart, because a method that needs a whole fringe cannot have them.
+//! pixel is not whole. Such pixels are counted apart, because a method that needs a whole fringe cannot have them.
 
 use super::truth::{Reference, Truth};
 use crate::base::image::{Mono8, Plane};
@@ -139,7 +139,7 @@ impl Classes {
         self.count(pixel, if right { 1 } else { 2 });
     }
 
-    /// Adds other counts.
+    /// Adds the counts of another cloud.
     pub(super) fn join(&mut self, other: &Self) {
         let mine = self.0.iter_mut().flat_map(|class| class.0.as_flattened_mut());
         let theirs = other.0.iter().flat_map(|class| class.0.as_flattened());
@@ -171,7 +171,7 @@ impl Classes {
 /// Completeness and wrong points where the modulation is at least a bound.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct LightScore {
-    /// The bound, DN.
+    /// Lower bound of the modulation, DN.
     pub min_modulation_dn: f32,
     /// Share of the lit pixels that have it, half a fringe or more in view.
     pub share_of_lit: f64,

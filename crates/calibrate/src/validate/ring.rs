@@ -14,12 +14,12 @@ use nalgebra::{Point3, SMatrix, SVector, Vector3};
 const DARK: f32 = 0.5;
 /// Side of the blocks in which the light is looked for, px.
 const BLOCK: usize = 32;
-/// Sizes of circles, px.
+/// Pixels that a circle may have.
 const AREA: std::ops::RangeInclusive<usize> = 30..=20_000;
 /// Pixels this near to a circle along u see it in their fringe window, or nearly: their points are not taken for the
 /// surface. One period is 8 to 14 px on a board in the volume.
 const CLEAR_U: f64 = 14.0;
-/// The same along v.
+/// The same distance along v, px.
 const CLEAR_V: f64 = 5.0;
 /// Half side of the patch that the surface is fitted in, as a share of the distance of circles.
 const PATCH: f64 = 1.0;
@@ -142,7 +142,7 @@ impl<'a> Organized<'a> {
 /// A circle of the board as a directional cloud shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ring {
-    /// Number in [`Board::circles`].
+    /// Its number in the list [`Board::circles`].
     pub circle: usize,
     /// The ellipse of its dark or empty pixels: to a few tenths of a pixel.
     pub outline: Ellipse,

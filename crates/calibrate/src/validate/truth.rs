@@ -27,7 +27,7 @@ const MAX_STRETCH: f64 = 12.0;
 /// Up to this distance, m, the cells that touch the pixel are enough to find the nearest surface.
 const NEAR_M: f64 = 0.001;
 
-/// Pixels to the true points that tell the normal: as many as clouds take for theirs.
+/// Distance of the true points that make the normal, px: as far as clouds take for theirs.
 const NORMAL_PX: usize = 3;
 
 /// Cells searched on each side where the nearest surface is further away.
@@ -46,7 +46,7 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Reads a truth file for a camera of whose rows each is so many of the file, by the middle one of these.
+    /// Reads a truth file for a camera. Each of its rows is `bin_rows` rows of the file, of which the middle one counts.
     pub fn load(path: &Path, camera: &Device, bin_rows: usize) -> Result<Self, String> {
         let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
         let mut archive = NpzReader::open(path).map_err(|e| fail(&e))?;
@@ -213,7 +213,7 @@ impl Truth {
 enum Verdict {
     /// There is no surface at its pixel.
     OffSurface,
-    /// There is one.
+    /// There is a surface at its pixel.
     On {
         /// Whether the fringe order is right.
         right: bool,
@@ -258,11 +258,8 @@ pub(super) fn closest(p: &Vector3<f64>, [a, b, c]: &[Vector3<f64>; 3]) -> Vector
 /// What scoring needs to know of a camera.
 #[derive(Debug, Clone, Copy)]
 pub struct Reference<'a> {
-    /// The camera.
     pub camera: &'a Device,
-    /// Its head's projector.
     pub projector: &'a Device,
-    /// The pattern.
     pub pattern: &'a Pattern,
 }
 
@@ -317,7 +314,7 @@ impl Tally {
         }
     }
 
-    /// Adds another tally.
+    /// Adds the tally of another cloud.
     pub fn join(&mut self, other: &Tally) {
         self.points += other.points;
         self.wrong_order += other.wrong_order;
@@ -329,7 +326,7 @@ impl Tally {
         self.classes.join(&other.classes);
     }
 
-    /// The figures.
+    /// The figures of everything that was added.
     pub fn score(&self) -> Score {
         let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
         let mut all: Vec<f32> = self.distances.iter().map(|&(d, _)| d).collect();
@@ -367,13 +364,12 @@ impl Tally {
 /// The figures of one cloud or of several together.
 #[derive(Debug, Clone, Serialize)]
 pub struct Score {
-    /// Number of points.
     pub points: usize,
     /// RMS distance to the true surface of all points that have one, wrong fringe orders included, mm.
     pub rms_mm: f64,
     /// The same of the points of right fringe order.
     pub rms_right_order_mm: f64,
-    /// Mean distance of these.
+    /// Mean distance of the points of right fringe order, mm.
     pub mean_right_order_mm: f64,
     /// 95th percentile of the distance of all points that have a surface, mm.
     pub p95_mm: f64,
@@ -385,7 +381,6 @@ pub struct Score {
     pub off_surface_share: f64,
     /// Share of the lit pixels that have a point of right order.
     pub completeness_of_lit: f64,
-    /// Number of lit pixels.
     pub lit_px: usize,
     /// Median angle between the normals of points of right order and the true ones, degrees.
     pub normal_median_deg: f64,

@@ -11,7 +11,7 @@ use super::truth::{Reference, Truth};
 use crate::data::Cloud;
 use serde::Serialize;
 
-/// Upper bounds of the classes of modulation, as the photograph and the truth tell it ([`Light`]), DN.
+/// Upper bounds of the classes of modulation, DN, by the photograph and the truth ([`Light`]).
 const MODULATION_DN: [f32; 8] = [1.5, 3.0, 4.0, 6.0, 10.0, 20.0, 40.0, f32::INFINITY];
 
 /// Upper bounds of the classes of light (mean over a fringe), DN.
@@ -35,16 +35,13 @@ struct Point {
     error_mm: f32,
 }
 
-/// One class.
+/// The points of one class: what was predicted, and what the error was.
 #[derive(Debug, Clone, Serialize)]
 pub struct Class {
     /// `modulation DN`, `light DN`, `predicted mm` or `all`.
     pub by: &'static str,
-    /// Lower bound.
     pub from: f32,
-    /// Upper bound.
     pub to: f32,
-    /// Number of points.
     pub points: usize,
     /// Median of the prediction, mm.
     pub predicted_mm: f32,
@@ -72,7 +69,7 @@ impl Points {
         }
     }
 
-    /// Whether there are none.
+    /// Whether no point with an uncertainty was added.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }

@@ -70,7 +70,7 @@ fn direction() -> impl Strategy<Value = Vector3<f64>> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Eight cameras: an eighth of what one says at the very most.
+    /// Eight cameras: an eighth of what one camera adds, at the very most.
     #[test]
     fn one_wrong_pose_moves_the_world_by_less_than_its_share(which in 0..8usize, axis in direction()) {
         prop_assume!(axis.norm() > 0.1);
