@@ -28,11 +28,12 @@ enum What {
     Check(Check),
 }
 
-/// Measure how far each camera and projector has turned since the calibration, from a session of any body that fills the volume.
+/// Measure how far each camera and projector has turned since the calibration, from a session of any body that fills
+/// the volume.
 ///
-/// Where two cameras see one place, their phases and the calibration must agree. The command prints the turn of each device that
-/// explains the differences, its uncertainty, and how far it moves what the device sees at the body. Points of the session need not
-/// be right for that: places whose fringe order is wrong are left out.
+/// Where two cameras see one place, their phases and the calibration must agree. The command prints the turn of each
+/// device that explains the differences, its uncertainty, and how far it moves what the device sees at the body. Points
+/// of the session need not be right for that: places whose fringe order is wrong are left out.
 ///
 /// Exit codes: 4 a device has certainly moved what it sees by more than --most-mm: calibrate again.
 #[derive(clap::Args)]
@@ -51,7 +52,8 @@ struct Check {
     /// How far a device may have moved what it sees at the body, mm.
     #[arg(long, value_name = "MM", default_value_t = 0.2, value_parser = parse_mm)]
     most_mm: f64,
-    /// Write the calibration with these turns to this file; its origin names the session. Not written where the turns do not settle.
+    /// Write the calibration with these turns to this file; its origin names the session. Not written where the turns
+    /// do not settle.
     #[arg(long, value_name = "FILE")]
     corrected: Option<PathBuf>,
     /// Number of threads [default: one per core].

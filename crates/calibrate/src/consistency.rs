@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whether an adjusted head is consistent: all positions agree, residuals are small, and sizes are those of the rig file.
+//! Whether an adjusted head is consistent: all positions agree, residuals are small, and sizes are those of the rig
+//! file.
 
 use super::estimate::median;
 use super::findings::{Finding, Kind};

@@ -56,8 +56,8 @@ impl Ellipse {
         Some(Self { centre: centre.into(), axes, angle: direction[1].atan2(direction[0]) })
     }
 
-    /// The ellipse with the moments of a region's pixels (half axes are twice their standard deviations), and the number of
-    /// pixels relative to its area: 1 where they fill it. `None` where the pixels lie on a line.
+    /// The ellipse with the moments of a region's pixels (half axes are twice their standard deviations), and the
+    /// number of pixels relative to its area: 1 where they fill it. `None` where the pixels lie on a line.
     pub fn of_region(pixels: impl Iterator<Item = [f64; 2]> + Clone) -> Option<(Self, f64)> {
         let n = pixels.clone().count() as f64;
         let mean = |axis: usize| pixels.clone().map(|p| p[axis]).sum::<f64>() / n;

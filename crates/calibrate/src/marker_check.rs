@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Checks that the marker is where the phase has it. On a board, circles that lie along a fringe can pass for dashes; then
-//! the whole phase is some fringes off. Between the circles nothing but the marker changes along its fringe.
+//! Checks that the marker is where the phase has it. On a board, circles that lie along a fringe can pass for dashes;
+//! then the whole phase is some fringes off. Between the circles nothing but the marker changes along its fringe.
 
 use super::estimate::least_squares;
 use super::observed::View;

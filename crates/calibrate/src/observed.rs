@@ -44,8 +44,8 @@ pub struct View {
 pub struct Phase {
     /// Unwrapped phase, rad; NaN where there is none.
     pub plane: Plane<f32>,
-    /// Where the frame's own marker gives the fringe order. Elsewhere whole fringes may be missing, another number in each
-    /// patch; `orders.rs` finds them from the board.
+    /// Where the frame's own marker gives the fringe order. Elsewhere whole fringes may be missing, another number in
+    /// each patch; `orders.rs` finds them from the board.
     pub by_marker: Plane<bool>,
     /// Whether the marker is where the phase has it.
     pub marker: bool,

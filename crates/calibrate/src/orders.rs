@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The fringe orders in a view of the board, found from the board itself.
 //!
-//! A frame by itself has its fringe orders from its marker, and a marker may be misread: then the whole view is some fringes
-//! off. But the circles give the board's pose, and the projector's model gives the panel column that lights each point of it.
-//! The projector that most markers agree on is sought first ([`agree`]); its column at a point gives the order there. A view
-//! needs no marker of its own, and no offset of whole fringes can be left in one.
+//! A frame by itself has its fringe orders from its marker, and a marker may be misread: then the whole view is some
+//! fringes off. But the circles give the board's pose, and the projector's model gives the panel column that lights
+//! each point of it. The projector that most markers agree on is sought first ([`agree`]); its column at a point gives
+//! the order there. A view needs no marker of its own, and no offset of whole fringes can be left in one.
 //!
-//! An offset of whole fringes is never motion: the board would have moved by some 40 mm along the view for each, and its
-//! circles would not be where the white frame has them.
+//! An offset of whole fringes is never motion: the board would have moved by some 40 mm along the view for each, and
+//! its circles would not be where the white frame has them.
 
 use super::bundle::{DeviceModel, Model, SeenColumn, column_error, fit_columns};
 use super::estimate::median;
@@ -79,7 +79,7 @@ impl Rigging<'_> {
         let of_view = |which: Which| {
             let readings = self.readings(result.head, which, &result.all.model);
             let read = self.by_marker(result.head, which, readings);
-            // Without any it is no number, and comes to 0 fringes.
+            // Without readings the median is NaN, which becomes 0 fringes.
             let fringes = (median(read.iter().map(Reading::excess)) / period).round() as i64;
             (fringes != 0).then_some(Misread { camera: which.camera, position: which.position, fringes })
         };
@@ -103,8 +103,8 @@ fn spread(readings: &[Reading]) -> impl Iterator<Item = &Reading> {
     readings.iter().step_by(readings.len().div_ceil(POINTS).max(1))
 }
 
-/// The projector near `start` that explains the columns of most views, and how many: grown from each view in turn, until most
-/// are in.
+/// The projector near `start` that explains the columns of most views, and how many: grown from each view in turn,
+/// until most are in.
 fn agree(views: &[Vec<SeenColumn>], start: &DeviceModel, period: f64) -> (DeviceModel, usize) {
     let mut best = (*start, 0);
     for seed in 0..views.len() {
@@ -119,7 +119,8 @@ fn agree(views: &[Vec<SeenColumn>], start: &DeviceModel, period: f64) -> (Device
     best
 }
 
-/// Fits the projector to one view, then to those that it explains, and so on: each view adds what the others leave open.
+/// Fits the projector to one view, then to those that it explains, and so on: each view adds what the others leave
+/// open.
 fn grow(views: &[Vec<SeenColumn>], seed: usize, start: &DeviceModel, period: f64) -> (DeviceModel, usize) {
     let mut members = vec![seed];
     // Each round takes in one view at least, or is the last.

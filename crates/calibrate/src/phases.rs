@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads the fringes at points of the board: the panel column that lights each of them.
 //!
-//! A phase is known modulo whole turns. Within a window the slope that the board's pose gives brings all pixels to one turn;
-//! over the whole view the projector's model does ([`super::orders`]).
+//! A phase is known modulo whole turns. Within a window the slope that the board's pose gives brings all pixels to one
+//! turn; over the whole view the projector's model does ([`super::orders`]).
 
 use super::board::Board;
 use super::bundle::{Model, Observation, project};
@@ -49,7 +49,8 @@ impl Reading {
     }
 }
 
-/// Which view: a camera, as its place in its head, and a position of the board, as its place among all and in the model.
+/// Which view: a camera, as its place in its head, and a position of the board, as its place among all and in the
+/// model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Which {
     pub(super) camera: usize,
@@ -77,8 +78,8 @@ impl Rigging<'_> {
         .collect()
     }
 
-    /// Reads the phase of a view at points between circles that were seen in both frames, so that nothing stands in front
-    /// of the point.
+    /// Reads the phase of a view at points between circles that were seen in both frames, so that nothing stands in
+    /// front of the point.
     pub(super) fn readings(&self, head: usize, which: Which, model: &Model) -> Vec<Reading> {
         let nominal = &self.nominal.heads[head];
         let Ok(pair) = CameraProjector::new(nominal, &nominal.cameras[which.camera], self.nominal) else {
@@ -112,8 +113,8 @@ impl Rigging<'_> {
         seen.filter_map(|(point, _)| read(point)).collect()
     }
 
-    /// The projector's observations between the circles, from the phase in one camera's frames, with the fringe orders that
-    /// the board gives each view.
+    /// The projector's observations between the circles, from the phase in one camera's frames, with the fringe orders
+    /// that the board gives each view.
     pub(super) fn phases(
         &self,
         head: usize,
@@ -139,8 +140,8 @@ impl Rigging<'_> {
     }
 }
 
-/// Brings the readings of one view to the fringes that the projector's model has there, all together: what is left is the
-/// same for neighbours, and at most half a fringe on the mean. Leaves out those near the marker.
+/// Brings the readings of one view to the fringes that the projector's model has there, all together: what is left is
+/// the same for neighbours, and at most half a fringe on the mean. Leaves out those near the marker.
 fn in_order(readings: Vec<Reading>, pattern: &Pattern) -> Vec<Reading> {
     let period = pattern.period_px;
     let left = modulo_mean(readings.iter().map(Reading::excess), period);
@@ -161,8 +162,9 @@ fn modulo_mean(values: impl Iterator<Item = f64>, period: f64) -> f64 {
     sum[1].atan2(sum[0]) * period / TAU
 }
 
-/// The panel column that lights the board at pixel (u, v), its standard deviation, px, and whether the marker gives its whole
-/// fringes. `slope`: how the column changes along u and v there. Which fringe of several is that of most of the window.
+/// The panel column that lights the board at pixel (u, v), its standard deviation, px, and whether the marker gives its
+/// whole fringes. `slope`: how the column changes along u and v there. Which fringe of several is that of most of the
+/// window.
 fn column_at(
     Phase { plane: phase, by_marker, .. }: &Phase,
     [u, v]: [f64; 2],

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Checks that the cameras stand where the rig file has them. Two cameras whose cables or files were exchanged see the board
-//! where it is not. An adjustment would follow them, and all numbers would look good.
+//! Checks that the cameras stand where the rig file has them. Two cameras whose cables or files were exchanged see the
+//! board where it is not. An adjustment would follow them, and all numbers would look good.
 
 use super::board::Board;
 use super::estimate::median;
@@ -70,10 +70,10 @@ struct Scene<'a> {
 }
 
 impl Scene<'_> {
-    /// The pair of cameras that disagree most, when the images of camera c were taken at `places[order[c]]`: distance of
-    /// the board's corners, m. Within a head the median over their common positions; between heads the least: heads
-    /// may have been calibrated one by one, each with its own board under the same trigger, and only some
-    /// positions are common to them.
+    /// The pair of cameras that disagree most, when the images of camera c were taken at `places[order[c]]`: distance
+    /// of the board's corners, m. Within a head the median over their common positions; between heads the least: heads
+    /// may have been calibrated one by one, each with its own board under the same trigger, and only some positions are
+    /// common to them.
     fn worst(&self, order: &[usize]) -> Option<(f64, [usize; 2])> {
         let mut worst: Option<(f64, [usize; 2])> = None;
         for a in 0..order.len() {

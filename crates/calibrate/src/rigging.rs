@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the stages of a calibration work on, and what a head comes to.
+//! What the stages of a calibration work on, and their result for a head.
 
 use super::board::Board;
 use super::bundle::{Adjusted, Observation};
@@ -32,7 +32,8 @@ pub enum StageError {
     Refused(String),
 }
 
-/// The rig as planned, the board, and its positions in a session. Whoever calibrates makes one; it changes nothing in them.
+/// The rig as planned, the board, and its positions in a session. Whoever calibrates makes one; it changes nothing in
+/// them.
 #[derive(Clone, Copy)]
 pub struct Rigging<'a> {
     /// The rig's nominal geometry, from the rig file.
@@ -43,7 +44,8 @@ pub struct Rigging<'a> {
     pub positions: &'a [Position],
 }
 
-/// A head after stages 1 and 2. Devices: cameras in the rig's order, then the projector. The frame is the nominal world.
+/// A head after stages 1 and 2. Devices: cameras in the rig's order, then the projector. The frame is the nominal
+/// world.
 #[derive(Debug, Clone)]
 pub struct HeadResult {
     /// Place of the head in the rig.

@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where the panel's rows are.
 //!
-//! Fringes give the panel's column of a point only. A projector that is adjusted to columns keeps its rows where the rig file
-//! had them: no column depends on its place along its rows, or on focal length and principal point along them. No point of
-//! a cloud depends on these either. But the marker's dashes lie on rows, and give them modulo the dashes' period. The
-//! geometry's row `v` at distance `z` is too large, to first order in all three, by
+//! Fringes give the panel's column of a point only. A projector that is adjusted to columns keeps its rows where the
+//! rig file had them: no column depends on its place along its rows, or on focal length and principal point along them.
+//! No point of a cloud depends on these either. But the marker's dashes lie on rows, and give them modulo the dashes'
+//! period. The geometry's row `v` at distance `z` is too large, to first order in all three, by
 //!
 //! ```text
 //! a + b v + c / z
 //! ```
 //!
-//! It is fitted to the dashes on the board, in stretches of two (`reconstruct::marker::epipolar_check`), as a correction that is kept beside the
-//! geometry. With it the dashes of a photograph show whether it belongs to the calibration.
+//! It is fitted to the dashes on the board, in stretches of two (`reconstruct::marker::epipolar_check`), as a
+//! correction that is kept beside the geometry. With it the dashes of a photograph show whether it belongs to the
+//! calibration.
 
 use super::marker_check::ridges;
 use super::observed::{Position, RidgePixel, View};
@@ -147,8 +148,8 @@ fn fit(seen: &[Seen], period: f64, height: usize) -> Option<PanelRows> {
         let left = x.excess - x.terms.dot(excess);
         left - period * (left / period).round()
     };
-    // Loosely known (20 px over the panel, 30 px m, against 0.1 px a stretch): where the board was at one distance only, numbers
-    // must not run away.
+    // Loosely known (20 px over the panel, 30 px m, against 0.1 px a stretch): where the board was at one distance
+    // only, numbers must not run away.
     let prior =
         Matrix3::from_diagonal(&Vector3::new(1e-6, (height as f64 / 20.0).powi(2), 1.0 / 900.0)) * 0.01;
     for round in 0..ROUNDS {

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Stages 1 and 2 of section 4.2: cameras of a head, then the phase of each camera-projector pair. [`super::global`] is the
-//! third.
+//! Stages 1 and 2 of section 4.2: cameras of a head, then the phase of each camera-projector pair. [`super::global`] is
+//! the third.
 //!
 //! 1. *Cameras*: circles seen by both cameras of a head, any number of positions of the board. Measured centres are
 //!    those of the outlines; the centre of a circle's image is not the image of its centre, so the difference under the
 //!    current estimate is taken off, and the adjustment repeated.
-//! 2. *Phase*: the absolute phase at points of the white field between the circles is the panel column that lights them:
-//!    the projector is adjusted like a camera that sees columns only, together with the cameras.
+//! 2. *Phase*: the absolute phase at points of the white field between the circles is the panel column that lights
+//!    them: the projector is adjusted like a camera that sees columns only, together with the cameras.
 //!
 //! Each kind of observation weighs as much as its own residuals justify: its standard deviation is theirs.
 

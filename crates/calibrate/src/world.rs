@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The world of a calibration. Photographs of a board show how the devices stand to each other, but not where the floor is:
-//! the adjustment holds one camera where the rig file has it, and its error of half a degree there would be the world's.
+//! The world of a calibration. Photographs of a board show how the devices stand to each other, but not where the floor
+//! is: the adjustment holds one camera where the rig file has it, and its error of half a degree there would be the
+//! world's.
 //!
 //! So the adjusted devices are moved together, rigidly, to where they fit the rig file best: each camera votes with its
-//! place and with its attitude, as much as a rig file is usually wrong in either. A position of the board that was set up
-//! with a spirit level shows better what is vertical; then the world is turned to it.
+//! place and with its attitude, as much as a rig file is usually wrong in either. A position of the board that was set
+//! up with a spirit level shows better what is vertical; then the world is turned to it.
 
 use super::board::Board;
 use super::bundle::{DeviceModel, Model};
@@ -52,8 +53,9 @@ impl Vertical {
     }
 }
 
-/// The motion that brings found poses nearest to nominal ones: `nominal frame from found frame`. Each pose stands for six
-/// points on its axes, so far out that places and attitudes weigh by [`RIG_FILE`]; one pose is enough. `None` without.
+/// The motion that brings found poses nearest to nominal ones: `nominal frame from found frame`. Each pose stands for
+/// six points on its axes, so far out that places and attitudes weigh by [`RIG_FILE`]; one pose is enough. `None`
+/// without.
 fn nearest_motion(poses: &[(Isometry3<f64>, Isometry3<f64>)]) -> Option<Isometry3<f64>> {
     // Six points at a distance L move by 6 d² + 4 L² a² in sum for a shift d and a turn by a.
     let reach = RIG_FILE.0 / RIG_FILE.1 * 1.5f64.sqrt();
@@ -66,9 +68,9 @@ fn nearest_motion(poses: &[(Isometry3<f64>, Isometry3<f64>)]) -> Option<Isometry
     best_motion(&pairs.collect::<Vec<_>>())
 }
 
-/// Moves a model of any frame into the world. `nominal` has a device for each of the model's, and whether it is a camera.
-/// Cameras vote; projectors do not, because their place along their rows is not measured. `positions` has the number
-/// (from 0) of each of the model's boards.
+/// Moves a model of any frame into the world. `nominal` has a device for each of the model's, and whether it is a
+/// camera. Cameras vote; projectors do not, because their place along their rows is not measured. `positions` has the
+/// number (from 0) of each of the model's boards.
 pub(super) fn into_world(
     model: &mut Model,
     nominal: &[(Device, bool)],

@@ -16,8 +16,8 @@ use std::path::PathBuf;
 /// Measure the distances between the outermost circles on both diagonals of the board, from edge to edge, per head.
 ///
 /// The edges are found in the clouds' intensities, with the fringes that the calibration has there; with --session in
-/// the photographs that the clouds were made of. Without --calibration the fringes at the edges are not known: expect errors
-/// of some tenths of a millimetre.
+/// the photographs that the clouds were made of. Without --calibration the fringes at the edges are not known: expect
+/// errors of some tenths of a millimetre.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody validate distance --clouds out --board config/board.toml --calibration calibration.json \\\n      --session sessions/board-9rpm"

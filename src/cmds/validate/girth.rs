@@ -9,8 +9,8 @@ use std::path::PathBuf;
 
 /// Measure closed contours of the merged clouds at stated heights, and their convex hulls.
 ///
-/// The slice is 8 mm thick, and its points are moved to its middle along the surface. Separate loops are named by where they
-/// lie: the trunk keeps the name, an arm on its left is NAME:+y or so. Two legs are NAME:+y and NAME:-y.
+/// The slice is 8 mm thick, and its points are moved to its middle along the surface. Separate loops are named by where
+/// they lie: the trunk keeps the name, an arm on its left is NAME:+y or so. Two legs are NAME:+y and NAME:-y.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody validate girth --clouds out --at waist=1.05 --at hip=0.88 --known waist=812.4 --known hip=961.0"

@@ -14,9 +14,9 @@ use std::path::PathBuf;
 
 /// Fit a plane to the board's points, per camera and per head (both cameras together).
 ///
-/// Without --board the largest plane is the board, and the convex hull of its points its outline. With --board the circles
-/// give the board's pose. Points near the outline (--margin-mm) are left out; points of the board that are more than
-/// 10 mm off the plane have a wrong fringe order: they are counted (left_out), not averaged.
+/// Without --board the largest plane is the board, and the convex hull of its points its outline. With --board the
+/// circles give the board's pose. Points near the outline (--margin-mm) are left out; points of the board that are more
+/// than 10 mm off the plane have a wrong fringe order: they are counted (left_out), not averaged.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  fourdbody validate plane --clouds out --board config/board.toml")]
 pub struct Args {

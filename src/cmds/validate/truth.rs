@@ -18,10 +18,10 @@ use std::path::{Path, PathBuf};
 
 /// Score clouds against rendered ground truth, per camera, all directional clouds together, and merged.
 ///
-/// The distance of a point is the Euclidean one to the true surface around its pixel. A point has the wrong
-/// fringe order when the projector sees it more than pi from the true phase at its pixel; points whose pixel
-/// sees no surface count as wrong, too. Normals of points of right order are held against those of the true surface, three
-/// pixels to each side.
+/// The distance of a point is the Euclidean one to the true surface around its pixel. A point has the wrong fringe
+/// order when the projector sees it more than pi from the true phase at its pixel; points whose pixel sees no surface
+/// count as wrong, too. Normals of points of right order are held against those of the true surface, three pixels to
+/// each side.
 ///
 /// Against a sphere or a mesh the distance is signed (positive outside) and to the nearest point of the solid; points
 /// more than 10 mm away are counted (gross) and do not enter the other figures.
@@ -45,7 +45,8 @@ pub struct Args {
     /// Score against a mesh instead: a closed surface as Wavefront OBJ, world axes, m.
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
-    /// The photographs (a session, or a directory of CAMERA/INDEX.png): completeness and uncertainties are counted by modulation, too.
+    /// The photographs (a session, or a directory of CAMERA/INDEX.png): completeness and uncertainties are counted by
+    /// modulation, too.
     #[arg(long, value_name = "SESSION", requires = "truth")]
     images: Option<PathBuf>,
     /// Print one JSON object instead of a table.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One device alone, from columns at which it sees points whose places are known: roughly, and whatever share of a view is
-//! some fringes off.
+//! One device alone, from columns at which it sees points whose places are known: roughly, and whatever share of a view
+//! is some fringes off.
 
 use super::observe::{linearize, project};
 use super::{DEVICE_PARAMETERS, DeviceModel, Model, Observation, moved};

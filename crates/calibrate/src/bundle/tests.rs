@@ -157,8 +157,8 @@ fn errors(found: &DeviceModel, truth: &DeviceModel) -> [f64; DEVICE_PARAMETERS] 
     })
 }
 
-/// Over noise seeds, the ratio of each parameter's spread about the truth to its stated standard deviation; NaN where it
-/// is held. What is known beforehand is known with its own error in every seed.
+/// Over noise seeds, the ratio of each parameter's spread about the truth to its stated standard deviation; NaN where
+/// it is held. What is known beforehand is known with its own error in every seed.
 fn spread_over_stated(seeds: u64) -> Vec<[f64; DEVICE_PARAMETERS]> {
     let model = truth();
     let mut sums = vec![[0.0; DEVICE_PARAMETERS]; 3];

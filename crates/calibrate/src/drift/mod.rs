@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! How far each device of a rig has turned since it was calibrated, from phase maps of whatever stood in the volume.
 //!
-//! Where two cameras see one place, the phase of the first camera gives the place in space. The phase of the second camera
-//! must then be the one that its projector casts there. Devices turn about their centres by small angles. The angles that
-//! explain the differences best are found by weighted least squares (Gauss and Newton's steps, Cauchy's weights).
+//! Where two cameras see one place, the phase of the first camera gives the place in space. The phase of the second
+//! camera must then be the one that its projector casts there. Devices turn about their centres by small angles. The
+//! angles that explain the differences best are found by weighted least squares (Gauss and Newton's steps, Cauchy's
+//! weights).
 //!
 //! Each angle is 0 beforehand, with a standard deviation of [`PRIOR_DEG`]. A turn that the body does not determine
 //! therefore stays near 0, with a large uncertainty.
@@ -63,7 +64,8 @@ pub struct Turn {
     /// Standard deviations of these, degree.
     pub sigma_deg: [f64; 3],
     pub angle_deg: f64,
-    /// How far that moves what it sees in the middle of the volume, or what a projector lights there, across its fringes, mm.
+    /// How far that moves what it sees in the middle of the volume, or what a projector lights there, across its
+    /// fringes, mm.
     pub at_body_mm: f64,
     /// Standard deviation of that, mm.
     pub at_body_sigma_mm: f64,
@@ -131,8 +133,8 @@ impl Drift {
         }
     }
 
-    /// These turns counted from another calibration, from which `corrected` came step by step. Uncertainties are those of the
-    /// last step.
+    /// These turns counted from another calibration, from which `corrected` came step by step. Uncertainties are those
+    /// of the last step.
     pub fn since(mut self, first: &Calibration, corrected: &Calibration, first_rad: f64) -> Self {
         let (from, to) = (Search::new(first), Search::new(corrected));
         for (i, device) in self.devices.iter_mut().enumerate() {

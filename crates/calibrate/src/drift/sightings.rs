@@ -80,7 +80,8 @@ impl Phases {
     }
 }
 
-/// A phase (rad), its slopes along rows and columns (rad/px) and how these change: along rows, along columns, both (rad/px^2).
+/// A phase (rad), its slopes along rows and columns (rad/px) and how these change: along rows, along columns, both
+/// (rad/px^2).
 struct Paraboloid {
     phase: f64,
     slope: [f64; 2],
@@ -97,8 +98,8 @@ impl Paraboloid {
     }
 }
 
-/// The point on a camera's line of sight that a column of its projector lights: its distance, m. `sight` in camera axes, from near
-/// `start_m` on.
+/// The point on a camera's line of sight that a column of its projector lights: its distance, m. `sight` in camera
+/// axes, from near `start_m` on.
 pub(super) fn distance(
     camera: &Device,
     projector: &Device,

@@ -2,12 +2,12 @@
 //! Distances between the outermost circles on both diagonals of the board (paper, 5.1, step 2).
 //!
 //! As the paper has it, the distance of two circles is the mean of that between the points on their outer edges and
-//! that between the points on their inner edges, on the line through their middles. Edges are found in the image grid of
-//! the cloud; their points lie on the surface that the cloud's points around the circle make (points whose fringe window
-//! a circle reaches are not taken for it).
+//! that between the points on their inner edges, on the line through their middles. Edges are found in the image grid
+//! of the cloud; their points lie on the surface that the cloud's points around the circle make (points whose fringe
+//! window a circle reaches are not taken for it).
 //!
-//! The outermost circle at a corner of the board is the nearest one to that corner that all cameras of the head see whole;
-//! it is named by column and row. The distance of the two is held against the board's own.
+//! The outermost circle at a corner of the board is the nearest one to that corner that all cameras of the head see
+//! whole; it is named by column and row. The distance of the two is held against the board's own.
 
 use super::edge::{self, Edge};
 use super::ring::{Organized, Ring};

@@ -2,10 +2,10 @@
 //! The edge of one circle, to some hundredths of a pixel.
 //!
 //! A directional cloud has no points in a black circle, and its intensities are means over one fringe period along u,
-//! so that neither shows the edge itself. Both are explained, though, by a circle on the surface that the fringes light:
-//! light = (plane of light) * (1 - c + c * pattern) * (1 - k * circle), seen through the same window as the intensities.
-//! Where the circle lies is what explains them best (Gauss and Newton, weights for outliers). The pattern at each
-//! pixel comes from the calibration; without one it is taken as even, which costs some tenths of a millimetre.
+//! so that neither shows the edge itself. Both are explained, though, by a circle on the surface that the fringes
+//! light: light = (plane of light) * (1 - c + c * pattern) * (1 - k * circle), seen through the same window as the
+//! intensities. Where the circle lies is what explains them best (Gauss and Newton, weights for outliers). The pattern
+//! at each pixel comes from the calibration; without one it is taken as even, which costs some tenths of a millimetre.
 //!
 //! Where the photograph is at hand its grey levels take the place of the intensities, without a window, and with the
 //! inside of the circle.

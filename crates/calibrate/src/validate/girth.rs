@@ -2,16 +2,16 @@
 //! Girths of a merged cloud at a height (paper, 5.2): the length of the closed contour, and of its convex hull (what a
 //! tape measures).
 //!
-//! Points within [`BAND_M`] of the height are moved to it along the surface that their normals describe. They fall apart
-//! into loops (trunk, arms, legs) where nothing is between them for one to two [`LINK_M`]. Each loop is described by its radius
-//! around a middle as a closed cubic spline of the angle, fitted to all points at once by least squares with outliers
-//! weighted down (Tukey), together with what the radius still changes with height inside the band (slope and
-//! curvature, smooth around the loop). The length is that of the spline.
+//! Points within [`BAND_M`] of the height are moved to it along the surface that their normals describe. They fall
+//! apart into loops (trunk, arms, legs) where nothing is between them for one to two [`LINK_M`]. Each loop is described
+//! by its radius around a middle as a closed cubic spline of the angle, fitted to all points at once by least squares
+//! with outliers weighted down (Tukey), together with what the radius still changes with height inside the band (slope
+//! and curvature, smooth around the loop). The length is that of the spline.
 //!
-//! A contour drawn from noisy point to noisy point is too long, whatever the noise: the spline is not, because each of its
-//! knots averages dozens of points. A weak penalty on its bends closes the gaps that no camera sees.
-//! A loop that a ray from its middle meets more than once (a deep fold) cannot be described so: such rays are
-//! counted (`folded_share`), and the hull alone should be trusted when they are many.
+//! A contour drawn from noisy point to noisy point is too long, whatever the noise: the spline is not, because each of
+//! its knots averages dozens of points. A weak penalty on its bends closes the gaps that no camera sees. A loop that a
+//! ray from its middle meets more than once (a deep fold) cannot be described so: such rays are counted
+//! (`folded_share`), and the hull alone should be trusted when they are many.
 
 use super::plane::convex_hull;
 use crate::estimate::median;

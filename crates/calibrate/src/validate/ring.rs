@@ -235,8 +235,8 @@ mod tests {
     const AWAY_M: f64 = 2.2;
     const FOCAL_PX: f64 = 1000.0;
 
-    /// The board turned about its long axis before a camera. Around four circles of one column, on which the marker lies,
-    /// points are missing.
+    /// The board turned about its long axis before a camera. Around four circles of one column, on which the marker
+    /// lies, points are missing.
     fn cloud(board: &Board, world_from_board: &Isometry3<f64>, grown: f64) -> Cloud {
         let normal = world_from_board * Vector3::z();
         let mut cloud = Cloud::default();

@@ -46,7 +46,8 @@ pub struct Truth {
 }
 
 impl Truth {
-    /// Reads a truth file for a camera. Each of its rows is `bin_rows` rows of the file, of which the middle one counts.
+    /// Reads a truth file for a camera. Each of its rows is `bin_rows` rows of the file, of which the middle one
+    /// counts.
     pub fn load(path: &Path, camera: &Device, bin_rows: usize) -> Result<Self, String> {
         let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
         let mut archive = NpzReader::open(path).map_err(|e| fail(&e))?;
@@ -130,8 +131,8 @@ impl Truth {
         Some((point.z - surface.z) * surface.norm() / surface.z)
     }
 
-    /// Angle between the normal of point `i` of a cloud of this camera and the true one at its pixel, rad. `None` where there
-    /// is no smooth surface around.
+    /// Angle between the normal of point `i` of a cloud of this camera and the true one at its pixel, rad. `None` where
+    /// there is no smooth surface around.
     fn tilt(&self, cloud: &Cloud, i: usize, reference: Reference<'_>) -> Option<f32> {
         let truth = self.normal(self.place(cloud.pixel[i])?)?;
         let world = Vector3::from(cloud.normal[i]).cast::<f64>();
@@ -400,7 +401,8 @@ mod tests {
 
     #[test]
     fn the_true_normal_is_that_of_the_surface_and_none_at_its_edge() {
-        // A plane seen from the origin by a camera of 1000 px focal length; from column 15 on another one, half a metre behind.
+        // A plane seen from the origin by a camera of 1000 px focal length; from column 15 on another one, half a metre
+        // behind.
         let (side, focal_px) = (30, 1000.0);
         let normal = Vector3::new(0.3, -0.2, -0.9).normalize();
         let mut points = Plane::filled(side, side, [f64::NAN; 3]);

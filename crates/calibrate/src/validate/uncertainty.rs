@@ -54,7 +54,8 @@ pub struct Class {
 }
 
 impl Points {
-    /// Adds the points of a cloud that carry an uncertainty; with the fringes of its photograph, by their modulation, too.
+    /// Adds the points of a cloud that carry an uncertainty; with the fringes of its photograph, by their modulation,
+    /// too.
     pub fn add(&mut self, cloud: &Cloud, truth: &Truth, reference: Reference<'_>, light: Option<&Light>) {
         for (i, sigma) in cloud.sigma_m.iter().enumerate() {
             let Some(error) = truth.error_along_sight(cloud, i, reference) else { continue };
