@@ -89,13 +89,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let outcome =
         run::calibrate(&source, &nominal, &board, &options).map_err(|e| Failure::new(exit(&e), e))?;
     outcome.calibration.save(&args.out).map_err(|e| Failure::new(Exit::Failure, e))?;
-    let page = match &args.report {
-        None => None,
-        Some(directory) => Some(
-            report::write(&outcome, directory)
-                .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", directory.display())))?,
-        ),
+    let report = |directory: &PathBuf| {
+        report::write(&outcome, directory)
+            .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", directory.display())))
     };
+    let page = args.report.as_ref().map(report).transpose()?;
     if args.json {
         println!(
             "{}",

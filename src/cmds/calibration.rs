@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `fourdbody calibration check`: do the devices still stand where they stood when they were calibrated?
+//! `fourdbody calibration check`: whether the devices still stand as they were calibrated.
 
 use super::failure::{Failure, tell_lost};
 use super::progress::Progress;
@@ -227,7 +227,7 @@ impl Check {
             let refused = summary.most_refused_for().map(|reason| format!("; frames are refused: {reason}"));
             Unmeasured::NotKnown(format!("{e}{}", refused.unwrap_or_default()))
         });
-        // Phase maps of the next look have the same names.
+        // Phase maps of the next round have the same names.
         let _ = std::fs::remove_dir_all(&plan.out);
         drift
     }

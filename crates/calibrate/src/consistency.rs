@@ -18,30 +18,30 @@ const PHASES_PX: f64 = 0.1;
 impl Excluded {
     /// Leaves out the views that contradict the others most, and reports them. Circles go first: phases depend on them.
     pub(super) fn contradicting(&mut self, rigging: &Rigging<'_>, result: &HeadResult) -> Vec<Finding> {
-        let circles = medians(result, true);
-        let bad = worst(&circles, CIRCLES_PX);
-        if !bad.is_empty() {
-            self.views.extend(bad.iter().map(|(key, _)| *key));
-            return bad
-                .iter()
-                .map(|&((camera, place), px)| {
-                    let message = format!(
-                        "its circles contradict the other positions by {px:.2} px: did the board move or bend, or another board?"
-                    );
-                    finding(rigging, result, camera, place, Kind::Disagrees, message)
-                })
-                .collect();
-        }
-        let bad = worst(&medians(result, false), PHASES_PX);
-        self.phases.extend(bad.iter().map(|(key, _)| *key));
-        bad.iter()
-            .map(|&((camera, place), px)| {
+        let circles = worst(&medians(result, true), CIRCLES_PX);
+        let (bad, moved) = if circles.is_empty() {
+            (worst(&medians(result, false), PHASES_PX), true)
+        } else {
+            (circles, false)
+        };
+        let excluded = if moved { &mut self.phases } else { &mut self.views };
+        excluded.extend(bad.iter().map(|(key, _)| *key));
+        let finding = |((camera, place), px): (Key, f64)| {
+            let camera = &rigging.nominal.heads[result.head].cameras[camera].id;
+            let position = &rigging.positions[place];
+            if moved {
                 let message = format!(
                     "the phase contradicts the circles by {px:.2} panel px beside whole fringes: the board moved between the white frame and the fringes. Hold it still"
                 );
-                finding(rigging, result, camera, place, Kind::Moved, message)
-            })
-            .collect()
+                let trigger = position.fringes.unwrap_or(position.white);
+                return Finding::left_out(camera, trigger, Some(place), Kind::Moved, message);
+            }
+            let message = format!(
+                "its circles contradict the other positions by {px:.2} px: did the board move or bend, or is it another board?"
+            );
+            Finding::left_out(camera, position.white, Some(place), Kind::Disagrees, message)
+        };
+        bad.into_iter().map(finding).collect()
     }
 
     /// Refuses a head of which more than half of the views are left out.
@@ -58,20 +58,6 @@ impl Excluded {
         }
         Ok(())
     }
-}
-
-fn finding(
-    rigging: &Rigging<'_>,
-    result: &HeadResult,
-    camera: usize,
-    place: usize,
-    kind: Kind,
-    message: String,
-) -> Finding {
-    let position = &rigging.positions[place];
-    let camera = &rigging.nominal.heads[result.head].cameras[camera].id;
-    let fringes = position.fringes.filter(|_| kind == Kind::Moved);
-    Finding::left_out(camera, fringes.unwrap_or(position.white), Some(place), kind, message)
 }
 
 type Key = (usize, usize);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a projector makes of its panel values, from the same board in white light and in fringes.
+//! The response of a projector to its panel values, measured on the board in white light and in fringes.
 //!
 //! Light that is the panel's share to the power g, instead of the share itself, has another mean over a period: blur of
 //! projector and lens takes from the harmonics, but nothing from the mean. With fringes `s (1/2 + 1/2 cos)` the mean is

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Stage 3, section 4.2 of the paper: heads brought into one frame by the positions of the board that several saw, and
-//! one last adjustment of everything, so that errors of a loop are spread as the observations ask.
+//! one last adjustment of everything, so that errors of a loop are spread by the weights of
+//! the observations.
 
 use super::board::Board;
 use super::bundle::{Adjusted, DeviceModel, Model, Observation, Prior, adjust};

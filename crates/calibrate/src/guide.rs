@@ -92,9 +92,20 @@ impl<'a> Guide<'a> {
         self.done.pop();
     }
 
-    /// What comes next; `None` when all is there.
+    /// What comes next: first positions before each head, then common ones of neighbours. `None` when all is there.
     pub fn next(&self) -> Option<Request> {
-        self.heads_next().or_else(|| self.between_next())
+        let heads = self.nominal.heads.len();
+        let before = |head: usize| {
+            let positions = self.positions(head);
+            let stands: Vec<Stand> = positions.iter().map(|pose| self.stand(head, pose)).collect();
+            let missing = Stand::ALL.into_iter().find(|stand| !stands.contains(stand));
+            let more = (positions.len() < POSITIONS).then_some(Stand::Other);
+            missing.or(more).map(|stand| Request::Head(head, stand))
+        };
+        let pairs = if heads > 2 { heads } else { heads.saturating_sub(1) };
+        let mut neighbours = (0..pairs).map(|a| (a, (a + 1) % heads));
+        let mut between = || neighbours.find(|&(a, b)| self.common(a, b) < COMMON);
+        (0..heads).find_map(before).or_else(|| between().map(|(a, b)| Request::Between(a, b)))
     }
 
     /// The board's positions before a head that differ from each other.
@@ -106,28 +117,6 @@ impl<'a> Guide<'a> {
             }
         }
         distinct
-    }
-
-    fn heads_next(&self) -> Option<Request> {
-        (0..self.nominal.heads.len()).find_map(|head| {
-            let positions = self.positions(head);
-            let stands: Vec<Stand> = positions.iter().map(|pose| self.stand(head, pose)).collect();
-            let missing = Stand::ALL.into_iter().find(|stand| !stands.contains(stand));
-            let more = (positions.len() < POSITIONS).then_some(Stand::Other);
-            missing.or(more).map(|stand| Request::Head(head, stand))
-        })
-    }
-
-    fn between_next(&self) -> Option<Request> {
-        self.neighbours()
-            .into_iter()
-            .find_map(|(a, b)| (self.common(a, b) < COMMON).then_some(Request::Between(a, b)))
-    }
-
-    fn neighbours(&self) -> Vec<(usize, usize)> {
-        let n = self.nominal.heads.len();
-        let pairs = if n > 2 { n } else { n.saturating_sub(1) };
-        (0..pairs).map(|a| (a, (a + 1) % n)).collect()
     }
 
     fn common(&self, a: usize, b: usize) -> usize {

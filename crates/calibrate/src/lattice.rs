@@ -46,7 +46,7 @@ pub fn identify(spots: &[Spot], board: &Board) -> Result<Vec<Sighting>, Refusal>
         );
         return Err(Refusal::new(Kind::WrongBoard, message));
     };
-    // The more sizes are judged wrongly, the further behind must be what else would fit.
+    // The more sizes the best fit judges wrongly, the larger its lead over the next one must be.
     let ahead = MISJUDGED.max(best.saturating_sub(1));
     let rivals: Vec<&Fit> = fits.iter().filter(|fit| fit.wrong <= best + ahead).collect();
     match rivals.as_slice() {
@@ -182,8 +182,8 @@ fn large_ones(spots: &[Spot], places: &Places, board: &Board) -> Vec<bool> {
     places.iter().map(is_large).collect()
 }
 
-/// Seen at a slant, the shortest ways from a circle may lead along a row and along a diagonal: what undoes that, as
-/// multiples of y that are added to x and of x that are added to y.
+/// Seen at a slant, the shortest steps from a circle may lead along a row and along a diagonal. These shears undo that:
+/// multiples of y that are added to x, and of x that are added to y.
 const SHEARS: [[i64; 2]; 5] = [[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]];
 
 /// A way to lay the found grid on the board.

@@ -62,12 +62,12 @@ pub(super) fn ridge(
     ridge
 }
 
-/// Where the geometry has dashes, and how far behind they are.
+/// One stretch of dashes: where the geometry has it, and how far off that is.
 #[derive(Debug, Clone, Copy)]
 struct Seen {
-    /// 1, the geometry's row, and one over the distance.
+    /// The terms of a, b and c: 1, the geometry's row, and 1 / distance.
     terms: Vector3<f64>,
-    /// px, modulo the dashes' period.
+    /// How much too large the geometry's row is, px, modulo the dashes' period.
     excess: f64,
 }
 
@@ -126,7 +126,7 @@ fn fit(seen: &[Seen], period: f64, height: usize) -> Option<PanelRows> {
     if seen.len() < LEAST_STRETCHES {
         return None;
     }
-    // The excess is known modulo the period: what is tried is right when all have one phase after it.
+    // The excess is known modulo the period. A trial is right when it leaves all stretches with one phase.
     let steps = |(n, step): (i32, f64)| (-n..=n).map(move |i| f64::from(i) * step);
     let mut best = (0.0, Vector3::zeros());
     for scale in steps(SCALES).map(|x| x / height.max(1) as f64) {

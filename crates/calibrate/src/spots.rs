@@ -19,7 +19,7 @@ pub struct Spot {
     pub rms_px: f64,
     /// Grey levels between inside and outside.
     pub contrast: f64,
-    /// Width of the edge from a quarter to three quarters of the contrast, px: what focus and motion make of it.
+    /// Width of the edge from a quarter to three quarters of the contrast, px: defocus and motion widen it.
     pub blur_px: f64,
     /// The lightest outside level, grey levels: 255 is saturated.
     pub outside: f64,

@@ -57,7 +57,7 @@ impl Rigging<'_> {
         let (projector, cameras) = (model.devices.len() - 1, self.nominal.heads[head].cameras.len());
         for _ in 0..CAMERA_ROUNDS {
             let observations = self.corrected(&model, &circles);
-            // The projector waits; nothing observes it yet.
+            // Nothing observes the projector yet: it stays as it is.
             let adjusted = adjust(model, &observations, &priors, 0).map_err(refused)?;
             for camera in 0..cameras {
                 let spread = spread(&adjusted, &observations, |i| observations[i].device == camera);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! From the photographs of a session to what the calibration uses: which position of the board, lit white or with
-//! fringes; the circles of the one, the phase of the other. Whatever cannot be used is named with its reason.
+//! Judges the photographs of a session: whether the board is lit white or with fringes, the circles in white light, and
+//! the phase in fringes. A photograph that cannot be used is named with its reason.
 //!
 //! [`look_at_frame`] judges a frame by itself, [`super::positions::arrange`] brings the frames of a position together.
 
@@ -67,7 +67,8 @@ pub fn light_of(image: Mono8<'_>, period_px: f32) -> Light {
     if *contrast > FRINGE_CONTRAST { Light::Fringes } else { Light::White }
 }
 
-/// One pipeline for every camera, in the calibration's order. Nominal geometry has no rows to hold dashes against.
+/// One pipeline for every camera, in the calibration's order. The nominal geometry has no rows, so dashes are not
+/// checked.
 pub fn pipelines(nominal: &Calibration) -> Result<Vec<Pipeline>, String> {
     let workspace = Arc::new(Workspace::default());
     let pipeline = |pair| {
@@ -151,7 +152,7 @@ fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Phase, Refus
     let mut by_marker = Plane::filled(image.width(), image.height(), false);
     let roi = prepared.roi;
     for v in 0..roi.height {
-        // What lies beside the runs is any number.
+        // Values beside the runs are undefined.
         for u in prepared.runs().row(v).iter().flat_map(|run| run.columns()) {
             let absolute = prepared.absolute.at(u, v);
             let phase = if absolute.is_nan() { in_patches.at(u, v) } else { absolute };

@@ -25,7 +25,7 @@ pub struct Args {
     /// What the contour of that name is known to measure, mm.
     #[arg(long, value_name = "NAME=MM", value_parser = parse_pair)]
     known: Vec<(String, f64)>,
-    /// Hold the convex hull against what is known, as for tape measurements, instead of the contour.
+    /// Compare the convex hull with the known girth, as for tape measurements, instead of the contour.
     #[arg(long)]
     tape: bool,
     /// Only the merged cloud of this trigger.

@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody validate plane`: how flat the board comes out.
 
-use super::{load_calibration, load_cloud, mean, of_something, open_clouds};
+use super::{load_calibration, load_cloud, mean, of_something, open_clouds, points};
 use crate::base::Exit;
 use crate::calibrate::Board;
 use crate::cmds::failure::Failure;
-use crate::data::Cloud;
 use crate::validate::deviations::Deviations;
 use crate::validate::plane::{Flatness, flatness};
 use crate::validate::ring::{Organized, place};
@@ -82,10 +81,6 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     of_something(per_head.len(), &args.clouds, "directional clouds with a plane")?;
     print(args.json, &per_camera, &per_head);
     Ok(if failed.is_empty() { Exit::Done } else { Exit::Corrupt })
-}
-
-fn points(cloud: &Cloud) -> impl Iterator<Item = Point3<f64>> {
-    cloud.position_m.iter().map(|p| Point3::from(*p).cast::<f64>())
 }
 
 fn print(json: bool, per_camera: &[Row], per_head: &[Row]) {

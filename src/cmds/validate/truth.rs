@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody validate truth`: clouds against rendered ground truth, a sphere or a mesh.
 
-use super::{bin_rows, load_calibration, load_cloud, of_something, open_clouds, open_photographs};
+use super::{bin_rows, load_calibration, load_cloud, of_something, open_clouds, open_photographs, points};
 use crate::base::Exit;
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::{Mono8, write_png_rgb};
@@ -20,8 +20,8 @@ use std::path::{Path, PathBuf};
 ///
 /// The distance of a point is the Euclidean one to the true surface around its pixel. A point has the wrong fringe
 /// order when the projector sees it more than pi from the true phase at its pixel; points whose pixel sees no surface
-/// count as wrong, too. Normals of points of right order are held against those of the true surface, three pixels to
-/// each side.
+/// count as wrong, too. Normals of points of right order are compared with those of the true surface, three pixels
+/// to each side.
 ///
 /// Against a sphere or a mesh the distance is signed (positive outside) and to the nearest point of the solid; points
 /// more than 10 mm away are counted (gross) and do not enter the other figures.
@@ -55,7 +55,7 @@ pub struct Args {
     /// Draw where each directional cloud is right (grey), wrong (red, magenta) or missing (blue).
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
-    /// Hold the predicted uncertainties (`fourdbody reconstruct --uncertainty`) against the errors, by classes.
+    /// Compare the predicted uncertainties (`fourdbody reconstruct --uncertainty`) with the errors, by classes.
     #[arg(long, requires = "truth")]
     uncertainty: bool,
 }
@@ -81,14 +81,14 @@ fn solid(args: &Args, score: impl Fn(&[Point3<f64>]) -> SolidScore) -> Result<Ex
     let set = open_clouds(&args.clouds)?;
     let mut sets: BTreeMap<String, Vec<Point3<f64>>> = BTreeMap::new();
     for ((_, camera), place) in &set.directional {
-        points_of(&load_cloud(&set, place)?, sets.entry(camera.clone()).or_default());
+        sets.entry(camera.clone()).or_default().extend(points(&load_cloud(&set, place)?));
     }
     let mut merged = Vec::new();
     for place in set.merged.values() {
-        points_of(&load_cloud(&set, place)?, &mut merged);
+        merged.extend(points(&load_cloud(&set, place)?));
     }
-    let points = merged.len() + sets.values().map(Vec::len).sum::<usize>();
-    of_something(points, &args.clouds, "clouds with points")?;
+    let count = merged.len() + sets.values().map(Vec::len).sum::<usize>();
+    of_something(count, &args.clouds, "clouds with points")?;
     let cameras: BTreeMap<&String, SolidScore> =
         sets.iter().map(|(name, points)| (name, score(points))).collect();
     let merged = score(&merged);
@@ -112,10 +112,6 @@ fn solid(args: &Args, score: impl Fn(&[Point3<f64>]) -> SolidScore) -> Result<Ex
         );
     }
     Ok(Exit::Done)
-}
-
-fn points_of(cloud: &Cloud, out: &mut Vec<Point3<f64>>) {
-    out.extend(cloud.position_m.iter().map(|p| Point3::from(*p).cast::<f64>()));
 }
 
 fn parse_sphere(text: &str) -> Result<Sphere, String> {

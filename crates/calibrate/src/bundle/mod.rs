@@ -14,11 +14,11 @@ pub(super) use observe::project;
 use observe::{BLOCK, linearize, predict};
 pub(super) use one_device::{SeenColumn, column_error, fit_columns};
 
-/// Of a lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+/// Number of a lens's parameters: fx, fy, cx, cy, k1, k2, p1, p2, k3.
 pub const LENS_PARAMETERS: usize = 9;
-/// Of a pose: a small turn (rad), then a shift (m), both in the target's axes.
+/// Number of a pose's parameters: a small turn (rad), then a shift (m), both in the target's axes.
 pub const POSE_PARAMETERS: usize = 6;
-/// Of a device: lens, then pose.
+/// Number of a device's parameters: those of the lens, then those of the pose.
 pub const DEVICE_PARAMETERS: usize = LENS_PARAMETERS + POSE_PARAMETERS;
 
 /// Names of a device's parameters, in order.
@@ -86,7 +86,7 @@ pub struct Adjusted {
 
 /// Residuals beyond this many standard deviations count less (Cauchy's loss).
 const ROBUST: f64 = 3.0;
-/// Most steps of one adjustment; a good start needs about ten.
+/// Most steps of one adjustment: they bound its time where it does not converge.
 const MAX_STEPS: usize = 100;
 /// Converged when a step lowers the cost by less than this share.
 const TOLERANCE: f64 = 1e-10;
@@ -124,7 +124,7 @@ pub fn adjust(
     problem.finish(model)
 }
 
-/// What is sought, and by what: it stays the same from step to step.
+/// What an adjustment minimizes: it stays the same from step to step.
 struct Problem<'a> {
     observations: &'a [Observation],
     priors: &'a [Prior],
@@ -204,7 +204,7 @@ impl Observation {
 
 impl Problem<'_> {
     fn cost(&self, model: &Model) -> f64 {
-        // A point that went behind its device is as bad as can be.
+        // A point behind its device costs more than any other, so that no step moves one there.
         let loss = |o: &Observation| residual_of(model, o).map_or(1e6, |r| loss(squared_sigmas(r, o)));
         let seen: f64 = self.observations.iter().map(loss).sum();
         let known = self.priors.iter().filter(|p| p.sigma > 0.0);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One device alone, from columns at which it sees points whose places are known: roughly, and whatever share of a view
-//! is some fringes off.
+//! Fits one device alone to the columns at which it sees points of known places. The fit is coarse, and tolerates views
+//! that are some fringes off.
 
 use super::observe::{linearize, project};
 use super::{DEVICE_PARAMETERS, DeviceModel, Model, Observation, moved};
@@ -11,13 +11,13 @@ use nalgebra::{DVector, Isometry3, Point3, SMatrix, SVector};
 const FOCAL: f64 = 0.03;
 /// How far off the principal point's column may be, px.
 const CENTRE_PX: f64 = 20.0;
-/// How far off the first radial term may be: lenses are taken from a data sheet, without distortion.
+/// How far off the first radial term may be: a rig file may have lenses without distortion.
 const RADIAL: f64 = 0.1;
 /// How far off each angle may be, rad.
 const TURN: f64 = 0.05;
 /// How far off the place may be, across and along the view, m. Columns do not determine the third shift: it is held.
 const SHIFT_M: f64 = 0.05;
-/// Rounds of least squares: from a rig file to a hundredth of a pixel.
+/// Rounds of least squares, each with weights from the residuals that the last one left.
 const ROUNDS: usize = 8;
 /// How well a column is known at best, px: the fit is only to find whole fringes.
 const LEAST_PX: f64 = 0.05;

@@ -30,11 +30,11 @@ const MOST_BYTES: u64 = 16 << 20;
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// None has moved what it sees by more than half of what it may.
+    /// No device has moved what it sees by more than half of the limit.
     Stands,
-    /// One has, but not surely by more than it may.
+    /// A device has moved what it sees by more than half of the limit, but not certainly by more than the limit.
     Turned,
-    /// One has surely moved what it sees by more than it may: calibrate again.
+    /// A device has certainly moved what it sees by more than the limit: calibrate again.
     CalibrateAgain,
     /// The session does not determine it for every device.
     NotKnown,

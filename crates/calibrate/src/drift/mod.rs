@@ -33,7 +33,7 @@ const ALIKE: f64 = 5.0;
 /// Least scatter that the differences of two cameras are taken to have, rad.
 const LEAST_SCALE_RAD: f64 = 0.01;
 
-/// Steps of the search: it converges in three or four.
+/// Steps of the search, each with weights from the differences that the last one left.
 const ROUNDS: usize = 6;
 
 /// Fewest places from which the turns of a rig are estimated.

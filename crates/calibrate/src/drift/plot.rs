@@ -102,7 +102,7 @@ impl<'a> Plot<'a> {
         BOTTOM - (mm / self.most_mm).min(1.0) * (BOTTOM - TOP)
     }
 
-    /// A camera has a colour, the projectors the same ones with dashes.
+    /// Colour and dashes of a device's line: each camera has a colour, and projectors have the same colours, dashed.
     fn style(&self, device: &str) -> (&'static str, &'static str) {
         let kind = |name: &str| name.split(' ').next().unwrap_or_default().to_owned();
         let alike = self.devices.iter().filter(|name| kind(name) == kind(device));

@@ -36,7 +36,7 @@ const SAME_SURFACE_RAD: f64 = 1.5;
 struct Phases {
     width: usize,
     height: usize,
-    /// In steps; [`NONE`] where there is none.
+    /// Phase of each pixel in steps; [`NONE`] where there is none.
     steps: Vec<i32>,
 }
 
@@ -89,7 +89,7 @@ struct Paraboloid {
 }
 
 impl Paraboloid {
-    /// Phase and slopes so far beside its middle, px.
+    /// Phase and slopes at a distance (x, y) from its middle, px.
     fn beside(&self, [x, y]: [f64; 2]) -> (f64, [f64; 2]) {
         let [xx, yy, xy] = self.bend;
         let [sx, sy] = self.slope;

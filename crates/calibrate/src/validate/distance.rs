@@ -7,7 +7,7 @@
 //! window a circle reaches are not taken for it).
 //!
 //! The outermost circle at a corner of the board is the nearest one to that corner that all cameras of the head see
-//! whole; it is named by column and row. The distance of the two is held against the board's own.
+//! whole; it is named by column and row. The distance of the two is compared with the board file's.
 
 use super::edge::{self, Edge};
 use super::ring::{Organized, Ring};
@@ -46,8 +46,8 @@ pub struct Diagonals {
     pub error_of_camera_mm: Vec<[f64; 2]>,
     /// Where each camera has the middles of the ends, world, m: by camera, diagonal and end.
     pub ends_m: Vec<[[[f64; 3]; 2]; 2]>,
-    /// Outer distance minus inner distance minus twice the board's diameters, mean of the cameras, mm: what the
-    /// edges are worth.
+    /// Outer distance minus inner distance minus twice the board's diameters, mean of the cameras, mm: it
+    /// measures the error of the edges.
     pub edges_mm: [f64; 2],
     /// Root mean square of what the edges' models leave, as a share of the light.
     pub edge_rms: f64,

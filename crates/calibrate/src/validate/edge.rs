@@ -33,9 +33,9 @@ const BLACK: f64 = 0.95;
 const PERIOD_PX: f64 = 11.0;
 /// Pixels beyond the circle that are explained with it: along u beside the window, and along v.
 const RIM: f64 = 6.0;
-/// The circle may lie so far from the dark region's middle, as a share of its radius.
+/// Largest distance of the circle's middle from the dark region's middle, as a share of its radius.
 const FURTHEST: f64 = 0.3;
-/// Residuals beyond this, as a share of the light, are not explained.
+/// Largest RMS of the residuals with which an edge is accepted, as a share of the light.
 const WORST_RMS: f64 = 0.06;
 
 /// Most rounds of the search.
@@ -64,7 +64,7 @@ pub(super) struct Edge {
     middle: [f64; 2],
     /// Its radius as found, m.
     pub(super) radius_m: f64,
-    /// RMS of what is not explained, as a share of the light.
+    /// RMS of the residuals, as a share of the light.
     pub(super) rms: f64,
 }
 
@@ -124,7 +124,7 @@ struct Pixel {
 struct Patch {
     pixels: Plane<u32>,
     list: Vec<Pixel>,
-    /// What is to be explained: place in the patch and value.
+    /// The measured values that are explained, each with its place in the patch.
     seen: Vec<([usize; 2], f64)>,
     /// Whether what is seen went through the window of one period.
     windowed: bool,
@@ -291,7 +291,7 @@ impl Patch {
             for i in (0..UNKNOWNS).filter(|i| held[*i]) {
                 normal[(i, i)] = 1.0;
             }
-            // A little damping holds what is hardly seen.
+            // A little damping holds unknowns that the pixels hardly determine.
             let trace = normal.trace() / UNKNOWNS as f64;
             (0..UNKNOWNS).for_each(|i| normal[(i, i)] += 1e-7 * trace);
             let step = normal.cholesky()?.solve(&right);
@@ -308,7 +308,7 @@ impl Patch {
     }
 }
 
-/// A row-major plane after the lens' blur along u (`step` 1) or v (`step` the width); the rim stays as it is.
+/// A row-major plane blurred by the lens along u (`step` 1) or v (`step` the width); the rim keeps its values.
 fn blurred(plane: &[f64], wide: usize, high: usize, step: usize) -> Vec<f64> {
     let weight = |k: usize| (-0.5 * (k as f64 / BLUR_PX).powi(2)).exp();
     let total = 1.0 + 2.0 * (1..=BLUR_REACH).map(weight).sum::<f64>();

@@ -102,7 +102,7 @@ fn flatten(point: &SurfacePoint, height_m: f64) -> Option<Flat> {
     Some(Flat { place: [x + factor * nx, y + factor * ny], rise })
 }
 
-/// Points that hang together over neighbouring cells.
+/// The points of each group of connected cells.
 fn components(points: &[Flat]) -> Vec<Vec<Flat>> {
     let cell = |p: &Flat| p.place.map(|x| (x / LINK_M).floor() as i64);
     let mut cells: BTreeMap<[i64; 2], Vec<Flat>> = BTreeMap::new();
@@ -245,7 +245,7 @@ fn fit(points: &[Polar], knots: usize) -> Option<Fit> {
         }
         let mean = weights.iter().sum::<f64>() / knots as f64;
         penalize(&mut normal, 0, knots, STIFFNESS * mean);
-        // What the band's height does changes slowly around the loop, and where it is not known it is nothing.
+        // Slope and curvature within the band change slowly around the loop, and are 0 where no point shows them.
         for start in [knots, knots + COARSE_KNOTS] {
             penalize(&mut normal, start, COARSE_KNOTS, mean);
             (start..start + COARSE_KNOTS).for_each(|i| normal[(i, i)] += 1e-3 * mean);

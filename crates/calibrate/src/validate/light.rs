@@ -2,8 +2,8 @@
 //! Which pixels of a photograph carry usable fringes, by the photograph and the truth.
 //!
 //! A pixel's modulation is the slope of the light on the cosine of the *true* phase, over the pixels of its row that
-//! are within half a fringe of it and on the same lit surface: the fringe's amplitude in DN, whatever any method of
-//! demodulation makes of it. Where the surface ends or its shadow begins within half a fringe, the fringe around the
+//! are within half a fringe of it and on the same lit surface: the fringe's amplitude in DN, independent of the method
+//! of demodulation. Where the surface ends or its shadow begins within half a fringe, the fringe around the
 //! pixel is not whole. Such pixels are counted apart, because a method that needs a whole fringe cannot have them.
 
 use super::truth::{Reference, Truth};

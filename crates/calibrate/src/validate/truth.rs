@@ -7,7 +7,7 @@
 //! The distance of a point is the Euclidean one to the true surface around its pixel, triangulated from the
 //! depth map. Its fringe order is wrong when the phase at which the projector sees the point differs by more
 //! than pi from that of the true surface at its pixel. A point whose pixel sees no surface counts as wrong too
-//! (`off_surface`). Its normal is held against that of the true points [`NORMAL_PX`] around its pixel, as far as these
+//! (`off_surface`). Its normal is compared with that of the true points [`NORMAL_PX`] around its pixel, as far as these
 //! lie on one surface.
 
 use super::light::{Classes, Light, LightScore};
@@ -98,7 +98,7 @@ impl Truth {
         (u < self.points.width() && v < self.points.height()).then_some((u, v))
     }
 
-    /// Holds point `i` of a cloud of this camera against the truth.
+    /// Compares point `i` of a cloud of this camera with the truth.
     fn judge(&self, cloud: &Cloud, i: usize, reference: Reference<'_>) -> Verdict {
         let place = self.place(cloud.pixel[i]);
         let surface = place.map(|(u, v)| Point3::from(self.points.at(u, v)));
@@ -151,7 +151,7 @@ impl Truth {
         let own = at(u, v);
         let limit = MAX_STRETCH * NORMAL_PX as f64 * own.z / self.focal_px;
         let around = [at(left, v), at(right, v), at(u, above), at(u, below)];
-        // Not so of what is not there.
+        // A missing point is NaN, which is not below the limit.
         let smooth = around.iter().all(|x| (x - own).norm() < limit);
         let normal = (around[1] - around[0]).cross(&(around[3] - around[2])).try_normalize(0.0)?;
         smooth.then(|| if normal.dot(&own) > 0.0 { -normal } else { normal })
