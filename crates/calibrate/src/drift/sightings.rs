@@ -134,48 +134,35 @@ pub(super) fn of(calibration: &Calibration, maps: &[(usize, PhaseMap)]) -> Vec<S
     let cameras: Vec<_> = calibration.cameras().collect();
     let phases: Vec<(usize, Phases)> = maps.iter().map(|(camera, map)| (*camera, Phases::new(map))).collect();
     let middle = (Vector3::from(calibration.volume_min_m) + Vector3::from(calibration.volume_max_m)) / 2.0;
+    let grid = |size: usize| (STEP_PX / 2..size).step_by(STEP_PX);
     let mut found = Vec::new();
-    for (number, own) in &phases {
-        let (head, camera) = &cameras[*number];
-        let device = &camera.device;
+    for &(camera, ref own) in &phases {
+        let (head, device) = (cameras[camera].0, &cameras[camera].1.device);
         let start_m = (device.centre().coords - middle).norm();
-        for v in (STEP_PX / 2..own.height).step_by(STEP_PX) {
-            for u in (STEP_PX / 2..own.width).step_by(STEP_PX) {
-                let Some(Paraboloid { phase, .. }) = own.around(u, v) else { continue };
-                let Some([x, y]) = device.lens.undistort(u as f64, v as f64) else { continue };
+        for (u, v) in grid(own.height).flat_map(|v| grid(own.width).map(move |u| (u, v))) {
+            let located = || {
+                let phase = own.around(u, v)?.phase;
+                let [x, y] = device.lens.undistort(u as f64, v as f64)?;
                 let sight = Vector3::new(x, y, 1.0).normalize();
                 let column = calibration.pattern.column(phase);
-                let Some(distance_m) = distance(device, &head.projector, &sight, column, start_m) else {
-                    continue;
-                };
-                let point = place(device, &sight, distance_m);
-                for (other, theirs) in phases.iter().filter(|x| x.0 != *number) {
-                    let (head, camera) = &cameras[*other];
-                    let Some(at) = camera.device.project(&point).filter(|at| camera.device.contains(*at))
-                    else {
-                        continue;
-                    };
-                    let nearest = at.map(|x| x.round().max(0.0) as usize);
-                    let Some(seen) = theirs.around(nearest[0], nearest[1]) else { continue };
-                    let Some([column, _]) = head.projector.project(&point) else { continue };
-                    let beside = [at[0] - nearest[0] as f64, at[1] - nearest[1] as f64];
-                    let (other_phase, other_slope) = seen.beside(beside);
-                    if (other_phase - calibration.pattern.phase(column)).abs() < SAME_SURFACE_RAD {
-                        let (camera, other) = (*number, *other);
-                        let sighting = Sighting {
-                            camera,
-                            sight,
-                            distance_m,
-                            phase,
-                            other,
-                            at,
-                            other_phase,
-                            other_slope,
-                        };
-                        found.push(sighting);
-                    }
-                }
-            }
+                Some((phase, sight, distance(device, &head.projector, &sight, column, start_m)?))
+            };
+            let Some((phase, sight, distance_m)) = located() else { continue };
+            let point = place(device, &sight, distance_m);
+            let seen_by = |&(other, ref theirs): &(usize, Phases)| {
+                let (head, device) = (cameras[other].0, &cameras[other].1.device);
+                let at = device.project(&point).filter(|at| device.contains(*at))?;
+                let nearest = at.map(|x| x.round().max(0.0) as usize);
+                let seen = theirs.around(nearest[0], nearest[1])?;
+                let [column, _] = head.projector.project(&point)?;
+                let beside = [at[0] - nearest[0] as f64, at[1] - nearest[1] as f64];
+                let (other_phase, other_slope) = seen.beside(beside);
+                let same = (other_phase - calibration.pattern.phase(column)).abs() < SAME_SURFACE_RAD;
+                let sighting =
+                    Sighting { camera, sight, distance_m, phase, other, at, other_phase, other_slope };
+                same.then_some(sighting)
+            };
+            found.extend(phases.iter().filter(|x| x.0 != camera).filter_map(seen_by));
         }
     }
     found
