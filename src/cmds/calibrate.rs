@@ -8,8 +8,8 @@ use super::reconstruct::open_source;
 use crate::base::Exit;
 use crate::base::ids::CameraId;
 use crate::calibrate::joined::Joined;
-use crate::calibrate::stages::{Rigging, StageError};
-use crate::calibrate::{Board, Vertical, advice, compare, report, run as stages};
+use crate::calibrate::rigging::StageError;
+use crate::calibrate::{Board, Vertical, advice, report, run};
 use crate::capture::participant::Participant;
 use crate::config::Rig;
 use crate::data::{Calibration, FrameSource};
@@ -24,7 +24,7 @@ pub struct Args {
     /// The rig file: its geometry is where the search starts, and the world is where the cameras fit it best.
     #[arg(long, value_name = "FILE")]
     rig: PathBuf,
-    /// The board file.
+    /// The board file, with the centres as measured.
     #[arg(long, value_name = "FILE")]
     board: PathBuf,
     /// A session, or a directory of images CAMERA/INDEX.png; several for positions captured one by one.
@@ -44,13 +44,13 @@ pub struct Args {
     /// With --live: triggers per position, the first in white light, the next with fringes.
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u64).range(2..=100))]
     triggers: u64,
-    /// The calibration to write.
+    /// Write the calibration to this file.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Leave out heads that cannot be calibrated instead of refusing.
     #[arg(long)]
     partial: bool,
-    /// Positions of the board, counted from 1, in which two of its edges were plumb: they say what is vertical.
+    /// Positions of the board, counted from 1, in which two of its edges were plumb: they define the vertical.
     #[arg(long, value_name = "POSITION", num_args = 1..)]
     upright: Vec<usize>,
     /// Positions in which the board lay level, face up or down: likewise.
@@ -59,15 +59,12 @@ pub struct Args {
     /// Write a page with residuals, coverage and advice: DIR/index.html.
     #[arg(long, value_name = "DIR")]
     report: Option<PathBuf>,
-    /// Also try other lens models, each judged by positions left out of its fit (takes minutes).
-    #[arg(long)]
-    compare_models: bool,
     /// Print the result as one JSON object.
     #[arg(long)]
     json: bool,
 }
 
-/// Runs the command.
+/// Runs `calibrate` and prints what came out.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let rig = Rig::load(&args.rig)?;
     let board = Board::load(&args.board)?;
@@ -88,79 +85,35 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let lost = tell_lost(source.lost());
     let upright = args.upright.iter().map(|&position| Vertical::Upright(position));
     let level = args.level.iter().map(|&position| Vertical::Level(position));
-    let options = stages::Options {
-        partial: args.partial,
-        verticals: upright.chain(level).collect(),
-        ..stages::Options::default()
-    };
+    let options = run::Options { partial: args.partial, verticals: upright.chain(level).collect() };
     let outcome =
-        stages::calibrate(&source, &nominal, &board, &options).map_err(|e| Failure::new(exit(&e), e))?;
+        run::calibrate(&source, &nominal, &board, &options).map_err(|e| Failure::new(exit(&e), e))?;
     outcome.calibration.save(&args.out).map_err(|e| Failure::new(Exit::Failure, e))?;
-    let page = match &args.report {
-        None => None,
-        Some(directory) => Some(
-            report::write(&outcome, directory)
-                .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", directory.display())))?,
-        ),
+    let report = |directory: &PathBuf| {
+        report::write(&outcome, directory)
+            .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", directory.display())))
     };
-    let models = if args.compare_models { compare_models(&outcome, &nominal, &board) } else { Vec::new() };
+    let page = args.report.as_ref().map(report).transpose()?;
     if args.json {
         println!(
             "{}",
             serde_json::json!({
                 "calibration": args.out, "quality": outcome.calibration.quality, "findings": outcome.findings,
-                "advice": advice::advice(&outcome), "report": page, "models": models,
+                "advice": advice::advice(&outcome), "report": page,
                 "unreadable": source.lost().iter().map(ToString::to_string).collect::<Vec<_>>(),
             })
         );
     } else {
         outcome.lines().iter().for_each(|line| println!("{line}"));
-        models.iter().for_each(|model| println!("{}", model.line()));
         page.iter().chain([&args.out]).for_each(|path| println!("{}", path.display()));
     }
     Ok(if lost { Exit::Corrupt } else { Exit::Done })
 }
 
-/// A wrong number after `--upright` is the command line's fault, not the photographs'.
-fn exit(error: &stages::CalibrateError) -> Exit {
+/// A wrong number after `--upright` is an error of the command line, not of the photographs.
+fn exit(error: &run::CalibrateError) -> Exit {
     match error {
-        stages::CalibrateError::Stage { error: StageError::World(_), .. } => Exit::Usage,
+        run::CalibrateError::Stage { error: StageError::World(_), .. } => Exit::Usage,
         _ => Exit::Failure,
     }
-}
-
-/// One lens model on one head.
-#[derive(serde::Serialize)]
-struct Compared {
-    head: String,
-    model: &'static str,
-    left_out: Option<compare::LeftOut>,
-    error: Option<String>,
-}
-
-impl Compared {
-    fn line(&self) -> String {
-        let result = match (&self.left_out, &self.error) {
-            (Some(r), _) => format!(
-                "circles {:.4} px, phases {:.4} panel px, depth {:.4} mm, with a grid {:.4} mm ({} positions)",
-                r.circles_px, r.phases_px, r.depth_mm, r.gridded_depth_mm, r.positions
-            ),
-            (None, error) => error.clone().unwrap_or_default(),
-        };
-        format!("  left out, {} {}: {result}", self.head, self.model)
-    }
-}
-
-fn compare_models(outcome: &stages::Outcome, nominal: &Calibration, board: &Board) -> Vec<Compared> {
-    let mut all = Vec::new();
-    for head in outcome.heads.iter().map(|head| head.head) {
-        for (model, terms) in compare::VARIANTS {
-            let rigging = Rigging { nominal, board, positions: &outcome.positions, terms };
-            let result = compare::leave_one_out(&rigging, head);
-            let error = result.as_ref().err().map(ToString::to_string);
-            let head = nominal.heads[head].id.to_string();
-            all.push(Compared { head, model, left_out: result.ok(), error });
-        }
-    }
-    all
 }

@@ -15,9 +15,8 @@ use crate::data::{Calibration, FrameSource};
 use std::io::BufRead;
 use std::sync::Arc;
 
-/// How the captures are made.
+/// How the positions are captured.
 pub struct Live {
-    /// The nodes.
     pub nodes: Vec<Box<dyn Participant>>,
     /// Sessions are named BASE-p001 and so on.
     pub base: String,
@@ -25,7 +24,7 @@ pub struct Live {
     pub triggers: u64,
 }
 
-/// Asks for positions until everything is there or the operator ends it; gives their frames as one source.
+/// Captures positions until all are there or the operator ends it; returns their frames as one source.
 pub fn run(live: &Live, nominal: &Calibration, board: &Board) -> Result<Joined, Failure> {
     let cameras: Vec<CameraId> = nominal.cameras().map(|(_, camera)| camera.id.clone()).collect();
     let mut guide = Guide::new(nominal, board);
@@ -36,11 +35,11 @@ pub fn run(live: &Live, nominal: &Calibration, board: &Board) -> Result<Joined, 
     // Sessions that were undone keep their names.
     let mut number = 0;
     let mut failed = None;
-    say(
+    print_line(
         "Every position takes one white frame and one with fringes. Enter: capture; u: undo the last one; q: enough.",
     );
     while let Some(request) = guide.next() {
-        say(&format!("[{}] {}", guide.progress().join(", "), guide.words(request)));
+        print_line(&format!("[{}] {}", guide.progress().join(", "), guide.words(request)));
         let mut line = String::new();
         let read = input.read_line(&mut line).map_err(|e| Failure::new(Exit::Failure, e))?;
         match line.trim() {
@@ -49,22 +48,25 @@ pub fn run(live: &Live, nominal: &Calibration, board: &Board) -> Result<Joined, 
             "u" if !joined.is_empty() => {
                 guide.undo();
                 joined.pop();
-                say("forgot the last position; its session stays on the disks");
+                print_line("removed the last position; its session stays on the disks");
                 continue;
             }
             "" => {}
             other => {
-                say(&format!("expected Enter, u or q, found {other:?}"));
+                print_line(&format!("expected Enter, u or q, found {other:?}"));
                 continue;
             }
         }
         number += 1;
-        // What was captured before is worth too much to be lost with one session that fails.
+        // One session that fails must not cost the positions that were captured before.
         let parts = match one_session(live, number, &cameras, &control) {
             Ok(parts) => parts,
             Err(failure) => {
-                say(&format!("this position does not count: {}", failure.message));
-                say("press Enter to try again");
+                print_line(&format!(
+                    "this position was not captured and does not count: {}",
+                    failure.message
+                ));
+                print_line("press Enter to try again");
                 failed = Some(failure);
                 continue;
             }
@@ -72,10 +74,12 @@ pub fn run(live: &Live, nominal: &Calibration, board: &Board) -> Result<Joined, 
         let mut alone = Joined::default();
         alone.push(parts);
         let looked = views::look(&alone, nominal, board).map_err(|e| Failure::new(Exit::Failure, e))?;
-        let usable = tell(&looked, nominal, &mut guide);
+        let usable = report(&looked, nominal, &mut guide);
         match usable {
             true => joined.push(alone.into_parts()),
-            false => say("this position is not usable and does not count; put it right and press Enter"),
+            false => print_line(
+                "this position is not usable and does not count: correct what the lines above name, then press Enter",
+            ),
         }
     }
     if joined.is_empty() {
@@ -83,12 +87,12 @@ pub fn run(live: &Live, nominal: &Calibration, board: &Board) -> Result<Joined, 
             Failure::new(Exit::Usage, "no usable position was captured; nothing to calibrate from")
         }));
     }
-    say(&format!("{} positions, {} sessions taken", joined.len(), number));
+    print_line(&format!("{} positions, {} sessions taken", joined.len(), number));
     Ok(joined)
 }
 
-fn say(line: &str) {
-    // Standard output has the result; the conversation goes beside it.
+fn print_line(line: &str) {
+    // Standard output has the result only; the dialogue goes to standard error.
     eprintln!("{line}");
 }
 
@@ -99,13 +103,13 @@ fn one_session(
     cameras: &[CameraId],
     control: &Control,
 ) -> Result<Vec<Box<dyn FrameSource>>, Failure> {
-    let wish = CaptureRequest {
+    let request = CaptureRequest {
         triggers: Some(live.triggers),
         name: Some(format!("{}-p{number:03}", live.base)),
         note: Some("calibration, one position of the board".to_owned()),
         ..CaptureRequest::default()
     };
-    let captured = capture(&live.nodes, &wish, control, |_| ())?;
+    let captured = capture(&live.nodes, &request, control, |_| ())?;
     let open = |directory: std::path::PathBuf| {
         open_source(&directory, cameras).map_err(|e| {
             let message = format!(
@@ -118,27 +122,29 @@ fn one_session(
     captured.directories().into_iter().map(open).collect()
 }
 
-/// Says what the last position gave; whether it counts.
-fn tell(
+/// Prints what the last position gave, and returns whether it counts.
+fn report(
     (positions, findings): &(Vec<Position>, Vec<Finding>),
     nominal: &Calibration,
     guide: &mut Guide<'_>,
 ) -> bool {
     let Some(position) = positions.iter().max_by_key(|p| p.views.iter().flatten().count()) else {
-        say("no white frame shows anything: is the light on, is the pattern sequence running?");
+        print_line(
+            "no white frame shows the board: check that the light is on and the pattern sequence runs",
+        );
         return false;
     };
     for ((_, camera), view) in nominal.cameras().zip(&position.views) {
         let Some(view) = view else { continue };
         let phase = if view.phase.is_some() { "phase" } else { "no phase" };
-        say(&format!("  {}: {} circles, {phase}", camera.id, view.sightings.len()));
+        print_line(&format!("  {}: {} circles, {phase}", camera.id, view.sightings.len()));
     }
-    // A camera that cannot see the board has nothing to complain about while another head is being served.
+    // Findings of heads that do not see the board at this position are of no use to the operator.
     let involved = |finding: &&Finding| {
         let head = nominal.heads.iter().position(|h| h.cameras.iter().any(|c| c.id == finding.camera));
         head.is_some_and(|head| position.views[nominal.cameras_of(head)].iter().any(Option::is_some))
     };
-    findings.iter().filter(involved).for_each(|finding| say(&format!("  {finding}")));
+    findings.iter().filter(involved).for_each(|finding| print_line(&format!("  {finding}")));
     let usable = guide.add(position);
     let names = nominal.heads.iter().zip(&usable).filter(|(_, usable)| **usable);
     let names: Vec<&str> = names.map(|(head, _)| head.id.as_str()).collect();
@@ -146,6 +152,6 @@ fn tell(
         guide.undo();
         return false;
     }
-    say(&format!("  good for {}", names.join(", ")));
+    print_line(&format!("  good for {}", names.join(", ")));
     true
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `fourdbody calibration check`: do the devices still stand where they stood when they were calibrated?
+//! `fourdbody calibration check`: whether the devices still stand as they were calibrated.
 
 use super::failure::{Failure, tell_lost};
 use super::progress::Progress;
@@ -16,7 +16,7 @@ use crate::formats::phase_file;
 use crate::reconstruct::fringe_order::MostDifference;
 use std::path::{Path, PathBuf};
 
-/// Look after a calibration.
+/// Check a calibration against a session.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -28,13 +28,14 @@ enum What {
     Check(Check),
 }
 
-/// Measure how far each camera and projector has turned since the calibration, from a session of any body that fills the volume.
+/// Measure how far each camera and projector has turned since the calibration, from a session of any body that fills
+/// the volume.
 ///
-/// Where two cameras see one place, their phases and the calibration must agree. The turns that explain what does not are told device
-/// by device, with their uncertainty, and what they come to at the body. No point of the session has to be right for that: places
-/// whose fringe order is wrong fall out.
+/// Where two cameras see one place, their phases and the calibration must agree. The command prints the turn of each
+/// device that explains the differences, its uncertainty, and how far it moves what the device sees at the body. Points
+/// of the session need not be right for that: places whose fringe order is wrong are left out.
 ///
-/// Exit codes: 4 a device has surely moved what it sees by more than --most-mm: calibrate again.
+/// Exit codes: 4 a device has certainly moved what it sees by more than --most-mm: calibrate again.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody calibration check sessions/walk-01 --calibration calibration.json"
@@ -42,16 +43,17 @@ enum What {
 struct Check {
     /// A session, or a directory of CAMERA/INDEX.png images.
     session: PathBuf,
-    /// The calibration.
+    /// The calibration that is checked.
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Frame sets that are looked at, evenly over the session.
+    /// Frame sets that are measured, evenly over the session.
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..=1000))]
     frame_sets: u64,
-    /// What a device may have moved at the body, mm.
+    /// How far a device may have moved what it sees at the body, mm.
     #[arg(long, value_name = "MM", default_value_t = 0.2, value_parser = parse_mm)]
     most_mm: f64,
-    /// Write the calibration with these turns here; its origin says so. Not written where the turns do not settle.
+    /// Write the calibration with these turns to this file; its origin names the session. Not written where the turns
+    /// do not settle.
     #[arg(long, value_name = "FILE")]
     corrected: Option<PathBuf>,
     /// Number of threads [default: one per core].
@@ -70,17 +72,18 @@ fn parse_mm(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| format!("expected millimetres above 0, found {text:?}"))
 }
 
-/// A calibration whose cameras differ by less is near enough for its turns to be believed, rad; looks at most.
+/// Difference of the cameras below which the turns have settled, rad.
 const SETTLED_RAD: f64 = 0.1;
+/// Most rounds of measuring and correcting: turns that have not settled by then are too large.
 const ROUNDS: usize = 3;
 
-/// Runs the command.
+/// Runs the subcommand of `calibration`.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let What::Check(check) = &args.what;
     check.run()
 }
 
-/// A directory that goes when this does.
+/// A directory that is removed when this is dropped.
 struct Scratch(PathBuf);
 
 impl Drop for Scratch {
@@ -98,11 +101,11 @@ struct Compared {
     scratch: Scratch,
 }
 
-/// Why there is no drift to tell.
+/// Why the drift could not be measured.
 enum Unmeasured {
     /// Devices have turned by more than can be measured.
     TooFar(String),
-    /// The session does not tell.
+    /// The session does not determine the turns.
     NotKnown(String),
     Failed(Failure),
 }
@@ -143,10 +146,10 @@ impl Check {
         {
             history.add(checked).map_err(|e| unwritable(dir, &e))?;
         }
-        let told =
+        let named =
             |message: String| Failure::new(Exit::Corrupt, format!("{}: {message}", self.session.display()));
         let drift = measured.map_err(|unmeasured| match unmeasured {
-            Unmeasured::TooFar(message) | Unmeasured::NotKnown(message) => told(message),
+            Unmeasured::TooFar(message) | Unmeasured::NotKnown(message) => named(message),
             Unmeasured::Failed(failure) => failure,
         })?;
         if let Some(path) = &self.corrected {
@@ -154,10 +157,10 @@ impl Check {
             let corrected = drift.corrected(&compared.calibration, &seen_in);
             corrected.save(path).map_err(|e| Failure::new(Exit::Failure, e))?;
         }
-        self.tell(&drift)
+        self.print(&drift)
     }
 
-    /// What the history is told; nothing of a check that failed.
+    /// What goes into the history; nothing of a check that failed.
     fn checked(
         &self,
         compared: &Compared,
@@ -166,13 +169,13 @@ impl Check {
         let failed = |e: String| Failure::new(Exit::Failure, e);
         let identity = compared.source.identity().map_err(failed)?;
         let name = self.session.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let checked = |verdict, said: &str| Checked {
+        let checked = |verdict, sentence: &str| Checked {
             recorded_ns: compared.source.recorded_ns().unwrap_or(0),
             session: identity.name.clone().unwrap_or(name),
             session_id: identity.id.clone(),
             calibration_sha256: String::new(),
             verdict,
-            said: said.to_owned(),
+            said: sentence.to_owned(),
             most_mm: self.most_mm,
             devices: Vec::new(),
         };
@@ -201,7 +204,7 @@ impl Check {
             }
             if rounds == ROUNDS {
                 return Err(Unmeasured::TooFar(format!(
-                    "expected turns with which cameras differ by less than {SETTLED_RAD} rad, found {before:.3} rad after {ROUNDS} looks ({first_rad:.3} by the calibration): devices have turned too far to be measured; calibrate again"
+                    "expected turns with which cameras differ by less than {SETTLED_RAD} rad, found {before:.3} rad after {ROUNDS} rounds ({first_rad:.3} by the calibration): devices have turned too far to be measured; calibrate again"
                 )));
             }
         }
@@ -214,7 +217,7 @@ impl Check {
         if total == 0 {
             return Err(Unmeasured::NotKnown("expected frame sets, found none".to_owned()));
         }
-        let progress = Progress::of("looking", "frame sets");
+        let progress = Progress::of("measuring", "frame sets");
         let source = compared.source.as_ref();
         let (summary, _) =
             run::run(source, calibration, &plan, |done| progress.at(done as u64, total as u64))
@@ -224,29 +227,29 @@ impl Check {
             let refused = summary.most_refused_for().map(|reason| format!("; frames are refused: {reason}"));
             Unmeasured::NotKnown(format!("{e}{}", refused.unwrap_or_default()))
         });
-        // Phase maps of the next look have the same names.
+        // Phase maps of the next round have the same names.
         let _ = std::fs::remove_dir_all(&plan.out);
         drift
     }
 
-    /// The frame sets to look at: their phases are kept as phase maps whatever they say of the calibration.
+    /// The frame sets to measure: their phases are kept as phase maps even where they contradict the calibration.
     fn plan(&self, compared: &Compared) -> Plan {
         let triggers = compared.source.triggers();
         let every = (triggers.end - triggers.start).div_ceil(self.frame_sets).max(1);
-        // In the middle of each part: people stand still there.
+        // In the middle of each part of the session: people move least there.
         let shard = ((triggers.start + every / 2) % every, every);
         let (out, cameras) = (compared.scratch.0.clone(), compared.cameras.clone());
         Plan { out, triggers, cameras, shard, most_difference: MostDifference::ANY, ..Plan::default() }
     }
 
-    fn tell(&self, drift: &Drift) -> Result<Exit, Failure> {
+    fn print(&self, drift: &Drift) -> Result<Exit, Failure> {
         let moved = drift.moved(self.most_mm);
-        let (verdict, said) = drift.verdict(self.most_mm);
+        let (verdict, sentence) = drift.verdict(self.most_mm);
         if self.json {
             let stands = moved.is_empty();
             println!(
                 "{}",
-                serde_json::json!({ "stands": stands, "verdict": verdict, "said": said, "most_mm": self.most_mm, "drift": drift })
+                serde_json::json!({ "stands": stands, "verdict": verdict, "said": sentence, "most_mm": self.most_mm, "drift": drift })
             );
         } else {
             println!(
@@ -261,11 +264,11 @@ impl Check {
             }
             let [before, after] = drift.differ_rad;
             println!(
-                "{} places that two cameras see: they differ by {before:.3} rad by the calibration, by {after:.3} rad with these turns",
+                "{} places that two cameras see: the cameras differ by {before:.3} rad with the calibration, by {after:.3} rad with these turns",
                 drift.sightings
             );
             if moved.is_empty() {
-                println!("{said}");
+                println!("{sentence}");
             }
         }
         if moved.is_empty() {

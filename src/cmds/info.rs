@@ -5,6 +5,7 @@ use super::failure::Failure;
 use crate::base::Exit;
 use crate::base::histogram::Latency;
 use crate::base::ids::one_line;
+use crate::base::time::utc_day;
 use crate::record::describe::{self, CameraDescription, ClockDescription};
 use crate::record::{RecordingReader, Unreadable, WriteStatistics, open_each};
 use std::collections::BTreeMap;
@@ -316,25 +317,9 @@ fn print_statistics(statistics: &WriteStatistics) {
 
 /// A host time as people write it, to the second.
 fn utc(ns: u64) -> String {
-    let seconds = ns / 1_000_000_000;
-    let (days, second) = (seconds / 86_400, seconds % 86_400);
-    let leap = |year: u64| (year.is_multiple_of(4) && !year.is_multiple_of(100)) || year.is_multiple_of(400);
-    let (mut year, mut left) = (1970, days);
-    while left >= 365 + u64::from(leap(year)) {
-        left -= 365 + u64::from(leap(year));
-        year += 1;
-    }
-    let mut month = 0;
-    let lengths = [31, 28 + u64::from(leap(year)), 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
-    for length in lengths {
-        if left < length {
-            break;
-        }
-        left -= length;
-        month += 1;
-    }
+    let second = ns / 1_000_000_000 % 86_400;
     let (hour, minute) = (second / 3600, second / 60 % 60);
-    format!("{year}-{:02}-{:02} {hour:02}:{minute:02}:{:02} UTC", month + 1, left + 1, second % 60)
+    format!("{} {hour:02}:{minute:02}:{:02} UTC", utc_day(ns), second % 60)
 }
 
 #[cfg(test)]

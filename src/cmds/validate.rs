@@ -14,6 +14,7 @@ use crate::batch::binned::BinnedSource;
 use crate::batch::key::{Key, calibration_path};
 use crate::batch::result::{Clouds, Place, calibration_of};
 use crate::data::{Calibration, FrameSource};
+use nalgebra::Point3;
 use std::path::Path;
 
 /// Measure clouds against something known.
@@ -32,7 +33,7 @@ enum What {
     Truth(truth::Args),
 }
 
-/// Runs the command.
+/// Runs the subcommand of `validate`.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match &args.what {
         What::Plane(args) => plane::run(args),
@@ -55,7 +56,7 @@ fn bin_rows(clouds: &Path) -> Result<usize, Failure> {
     Ok(key.map_or(1, |key| key.bin_rows))
 }
 
-/// The calibration that is given, as it is for the rows of these clouds, or that beside the clouds.
+/// The given calibration, with rows binned like those of these clouds; without one, the calibration beside the clouds.
 fn load_calibration(given: Option<&Path>, clouds: &Path) -> Result<Calibration, Failure> {
     let Some(path) = given else {
         return calibration_of(clouds).map_err(|e| Failure::new(Exit::Usage, e));
@@ -88,13 +89,18 @@ fn load_cloud(clouds: &Clouds, place: &Place) -> Result<crate::data::Cloud, Fail
     clouds.load(place).map(|(_, cloud)| cloud).map_err(|e| Failure::new(Exit::Corrupt, e))
 }
 
-/// Figures of nothing are no figures: an error where there is none.
+/// An error where nothing was measured: figures of nothing would look like good ones.
 fn of_something(figures: usize, clouds: &Path, expected: &str) -> Result<(), Failure> {
     if figures > 0 {
         return Ok(());
     }
     let message = format!("{}: expected {expected}, found none: nothing was measured", clouds.display());
     Err(Failure::new(Exit::Corrupt, message))
+}
+
+/// The points of a cloud in the world, m.
+fn points(cloud: &crate::data::Cloud) -> impl Iterator<Item = Point3<f64>> {
+    cloud.position_m.iter().map(|p| Point3::from(*p).cast::<f64>())
 }
 
 /// Mean of some numbers; NaN of none.

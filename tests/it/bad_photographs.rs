@@ -4,8 +4,8 @@
 
 use crate::board_photographs::{Photographs, errors, flat, good, scene};
 use fourdbody::base::image::Plane;
+use fourdbody::calibrate::rigging::StageError;
 use fourdbody::calibrate::run::{CalibrateError, Outcome};
-use fourdbody::calibrate::stages::StageError;
 use fourdbody::calibrate::{Board, Finding, Kind};
 use fourdbody_simulator::scenario::Light;
 use std::path::Path;
@@ -122,14 +122,15 @@ fn good_photographs_give_a_good_calibration_without_complaint() {
 fn too_few_positions_are_refused() {
     let mut photographs = good();
     photographs.keep(|trigger| trigger < 10);
-    assert_eq!(refusal(&photographs).0, StageError::Positions { head: "h0".to_owned(), found: 5 });
+    let five = StageError::Positions { head: "h0".to_owned(), found: 5 };
+    assert_eq!(refusal(&photographs).0, five);
     // The same five again are no more.
     let mut twice = good();
     twice.keep(|trigger| trigger < 10);
     for trigger in 0..10 {
         (0..2).for_each(|camera| twice.set(trigger + 10, camera, good().image(trigger, camera).clone()));
     }
-    assert_eq!(refusal(&twice).0, StageError::Positions { head: "h0".to_owned(), found: 5 });
+    assert_eq!(refusal(&twice).0, five);
 }
 
 #[test]
@@ -137,7 +138,8 @@ fn parallel_positions_are_refused() {
     let poses: Vec<_> = (0..6).map(|i| flat(0.1 + 0.07 * f64::from(i), 5.0, f64::from(i), 0.0)).collect();
     let photographs = Photographs::take(scene(), &poses);
     let (error, _) = refusal(&photographs);
-    assert!(matches!(error, StageError::Parallel { degrees: 3..=6, .. }), "{error}");
+    let tilted = |degrees| error.to_string().contains(&format!("by at most {degrees} degrees"));
+    assert!((3..=6).any(tilted), "{error}");
 }
 
 #[test]
@@ -164,10 +166,8 @@ fn the_wrong_board_file_is_refused() {
         ("\nradius_m = 0.015", "\nradius_m = 0.0165"),
     ]);
     let error = good().with_board(&board).calibrate_in(scene(), &board).expect_err("must be refused");
-    let scale = |e: &CalibrateError| {
-        matches!(e, CalibrateError::Stage { error: StageError::Scale { percent: 108..=112, .. }, .. })
-    };
-    assert!(scale(&error), "{error}");
+    let scale = |percent| error.to_string().contains(&format!("come out {percent} % as far apart"));
+    assert!((108..=112).any(scale), "{error}");
 }
 
 #[test]
@@ -184,7 +184,7 @@ fn mirrored_images_are_named() {
     let mut all = good();
     all.change(&[0, 2, 4, 6, 8, 10, 12, 14], &[1], flipped);
     let (error, findings) = refusal(&all);
-    assert_eq!(error, StageError::Views { camera: "h0_low".to_owned(), found: 0, positions: 8 });
+    assert!(error.to_string().starts_with("camera h0_low: usable views in 0 of 8 positions"), "{error}");
     assert_eq!(findings.iter().filter(|f| f.kind == Kind::Mirrored).count(), 8);
 }
 
@@ -193,7 +193,7 @@ fn swapped_cameras_are_refused() {
     let mut photographs = good();
     photographs.swap_cameras();
     let (error, _) = refusal(&photographs);
-    assert_eq!(error, StageError::Swapped { cameras: ["h0_up".to_owned(), "h0_low".to_owned()] });
+    assert!(error.to_string().starts_with("cameras h0_up and h0_low are swapped"), "{error}");
 }
 
 #[test]
@@ -243,7 +243,7 @@ fn fringes_without_marker_are_used_as_long_as_others_have_one() {
         }
     }
     let (error, findings) = refusal(&photographs);
-    assert_eq!(error, StageError::Markers { head: "h0".to_owned(), agreeing: 0, marked: 0 });
+    assert!(error.to_string().starts_with("head h0: the markers in 0 of 0 frames"), "{error}");
     assert_eq!(findings.iter().filter(|f| f.kind == Kind::NoMarker).count(), 16);
 }
 
@@ -286,10 +286,8 @@ fn markers_misread_by_any_number_of_fringes_cost_no_view() {
 #[test]
 fn markers_that_disagree_by_majority_are_refused() {
     let misread: Vec<_> = (0..9).map(|i| (i / 2, i % 2, 7 * i as i32 - 40)).collect();
-    match good().calibrate_misread(&misread) {
-        Err(CalibrateError::Stage { error: StageError::Markers { agreeing: 7, marked: 16, .. }, .. }) => {}
-        other => panic!("must be refused, found {other:?}"),
-    }
+    let error = good().calibrate_misread(&misread).expect_err("must be refused");
+    assert!(error.to_string().starts_with("head h0: the markers in 7 of 16 frames"), "{error}");
 }
 
 /// All over, and but for the first columns.
@@ -358,24 +356,4 @@ fn cameras_without_frames_take_one_line_each() {
     let missing: Vec<&Finding> = outcome.findings.iter().filter(|f| f.kind == Kind::NoFrames).collect();
     assert_eq!(missing.len(), 1, "{:?}", outcome.findings);
     assert!(missing[0].message.contains("3 of 16"), "{}", missing[0]);
-}
-
-/// Prints a row of docs/design/experiments.md.
-#[test]
-#[ignore = "54 calibrations, minutes: cargo test --release --test it models_are_compared -- --ignored --nocapture"]
-fn models_are_compared_by_positions_left_out() {
-    use fourdbody::calibrate::compare::{VARIANTS, leave_one_out};
-    use fourdbody::calibrate::stages::{Rigging, Terms};
-    let outcome = good_outcome(&good());
-    let (nominal, board, positions) = (&scene().nominal, &scene().board, &outcome.positions);
-    let mut results = Vec::new();
-    for (name, terms) in VARIANTS {
-        let rigging = Rigging { nominal, board, positions, terms };
-        let left_out = leave_one_out(&rigging, 0).expect("calibrates");
-        println!("{name}: {left_out:?}");
-        results.push((terms, left_out));
-    }
-    let best = results.iter().map(|(_, r)| r.depth_mm).fold(f64::INFINITY, f64::min);
-    let chosen = results.iter().find(|(terms, _)| *terms == Terms::default()).expect("among them");
-    assert!(chosen.1.depth_mm < 1.05 * best, "{results:?}");
 }

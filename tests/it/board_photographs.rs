@@ -3,9 +3,10 @@
 
 use fourdbody::base::ids::{CameraId, TriggerIndex};
 use fourdbody::base::image::Plane;
+use fourdbody::calibrate::observed::Looked;
 use fourdbody::calibrate::positions::arrange;
 use fourdbody::calibrate::run::{CalibrateError, Options, Outcome, solve};
-use fourdbody::calibrate::views::{Looked, look_at_frame, pipelines};
+use fourdbody::calibrate::views::{look_at_frame, pipelines};
 use fourdbody::calibrate::{Board, Finding, Position};
 use fourdbody::config::Rig;
 use fourdbody::data::{Calibration, Frame};

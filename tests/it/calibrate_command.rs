@@ -4,10 +4,8 @@
 use crate::board_photographs::{errors, good, scene};
 use crate::validate_commands::{fails, fourdbody, json, number, text};
 use fourdbody::base::image::write_png_grey;
-use fourdbody::calibrate::compare::VARIANTS;
 use fourdbody::data::Calibration;
 use fourdbody_simulator::rig_file::to_toml;
-use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// A directory with a rig file and the frames of these triggers, as `--session` takes them.
@@ -60,7 +58,7 @@ fn photographs_become_a_calibration_a_report_and_flat_boards() {
     let files = Files::new(0..16);
     let report = files.path("report");
     let found = json(0, &words(&files.arguments(&["--report", text(&report), "--upright", "1"])));
-    for key in ["calibration", "quality", "findings", "advice", "report", "models"] {
+    for key in ["calibration", "quality", "findings", "advice", "report"] {
         assert!(!found[key].is_null(), "{key}: {found:#}");
     }
     assert_eq!(found["quality"]["cameras"].as_array().map(Vec::len), Some(2), "{found:#}");
@@ -96,39 +94,6 @@ fn photographs_become_a_calibration_a_report_and_flat_boards() {
     let plane = json(0, &["validate", "plane", "--clouds", text(&out), "--calibration", text(&path)]);
     // Fringes of 25 mm and discs of 30 mm at this size: the few per cent of points at the discs make the RMS.
     assert!(number(&plane, "/per_head/0/robust_mm") < 0.12 && number(&plane, "/rms_mm") < 1.0, "{plane:#}");
-}
-
-/// Every model with its figures; seven positions, of which six are left when one is left out.
-#[test]
-#[ignore = "forty-eight calibrations, minutes: cargo test --release --test it lens_models_are_compared -- --ignored"]
-fn lens_models_are_compared() {
-    let files = Files::new(0..14);
-    for model in compared(&json(0, &words(&files.arguments(&["--compare-models"])))) {
-        assert!(model["error"].is_null() && number(&model, "/left_out/positions") == 7.0, "{model:#}");
-        assert!(number(&model, "/left_out/circles_px") < 0.05, "{model:#}");
-        assert!(number(&model, "/left_out/phases_px") < 0.05, "{model:#}");
-    }
-}
-
-/// Six positions make a calibration, and five do not: no model can be judged, and each says why.
-#[test]
-fn lens_models_that_cannot_be_compared_say_so_and_the_calibration_stands() {
-    let files = Files::new(0..12);
-    for model in compared(&json(0, &words(&files.arguments(&["--compare-models"])))) {
-        let error = model["error"].as_str().expect("a reason");
-        assert!(error.contains("5 usable positions") && model["left_out"].is_null(), "{model:#}");
-    }
-    Calibration::load(&files.path("calibration.json")).expect("written all the same");
-}
-
-/// The models that the report of one head lists.
-fn compared(found: &Value) -> Vec<Value> {
-    let models = found["models"].as_array().expect("a list");
-    assert_eq!(models.len(), VARIANTS.len(), "{found:#}");
-    for (model, (name, _)) in models.iter().zip(VARIANTS) {
-        assert_eq!((&model["head"], &model["model"]), (&"h0".into(), &name.into()));
-    }
-    models.clone()
 }
 
 #[test]

@@ -75,7 +75,7 @@ impl Scene {
             let truth = Truth::load(&path, &camera.device, 1).expect("truth");
             let (projector, pattern) = (&head.projector, &self.calibration.pattern);
             let reference = Reference { camera: &camera.device, projector, pattern };
-            all.add(&clouds[number], |i| select(number, i), &truth, reference);
+            all.add(&clouds[number], |i| select(number, i), &truth, reference, None);
         }
         all.score()
     }

@@ -111,7 +111,7 @@ fn tally(scene: &Path, camera: &str, method: Method) -> (Reconstruction, Tally) 
     let reference =
         Reference { camera: &calibrated.device, projector: &head.projector, pattern: &calibration.pattern };
     let mut tally = Tally::default();
-    tally.add(&found.cloud, |_| true, &truth, reference);
+    tally.add(&found.cloud, |_| true, &truth, reference, None);
     (found, tally)
 }
 
@@ -148,7 +148,7 @@ impl Scored<'_> {
     fn tally(&self, margin: f32) -> Tally {
         let mut tally = Tally::default();
         let certain = |i| self.found.regions.margin_at(self.found.cloud.pixel[i]) >= margin;
-        tally.add(&self.found.cloud, certain, &self.truth, self.reference);
+        tally.add(&self.found.cloud, certain, &self.truth, self.reference, None);
         tally
     }
 }

@@ -1,25 +1,25 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What an operator should do better next time, from how a calibration went.
+//! Advice for the operator: what to do better next time, derived from how a calibration went.
 
 use super::findings::Kind;
-use super::run::Outcome;
+use super::run::{Outcome, seen_positions, with_first_device};
 use crate::data::Calibration;
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 
-/// Cells that the image is divided into, along u and v.
+/// Cells that the image is divided into to measure coverage, along u and v.
 pub const CELLS: [usize; 2] = [8, 5];
-/// Share of the cells in which each camera should have seen circles.
+/// Share of the cells in which each camera should have seen circles: lenses are extrapolated elsewhere.
 const COVERED: f64 = 0.75;
-/// Positions should be tilted against each other by this, degrees.
+/// Largest angle between two positions that is good, degrees: it separates focal length from distance.
 const TILT_DEG: f64 = 35.0;
-/// A focal length should be known to this share.
+/// Standard deviation of a focal length that is good, as a share of it.
 const FOCAL: f64 = 3e-4;
-/// Two heads should agree on their common positions to this, mm.
+/// Distance of two heads on their common positions that is good, mm rms.
 const LINK_MM: f64 = 0.3;
-/// Heads should share so many positions.
+/// Positions that neighbouring heads should have in common: one bad position then shows.
 const COMMON: usize = 2;
-/// The measured gamma may differ from the one undone by this.
+/// Difference between the measured gamma and the one that the pattern undoes, above which there is advice.
 const GAMMA: f64 = 0.05;
 
 /// How many circles each cell of the image had in all positions, row after row.
@@ -54,23 +54,14 @@ pub fn advice(outcome: &Outcome) -> Vec<String> {
 
 fn of_cameras(outcome: &Outcome, calibration: &Calibration) -> Vec<String> {
     let mut advice = Vec::new();
-    let mut device = 0;
-    for (head, result) in calibration.heads.iter().zip(&outcome.heads) {
-        for camera in &head.cameras {
-            let boards: BTreeSet<usize> = outcome
-                .together
-                .observations
-                .iter()
-                .filter(|o| o.device == device)
-                .map(|o| o.board)
-                .collect();
-            if boards.len() < result.positions.len() {
+    for ((head, first), result) in with_first_device(&calibration.heads).zip(&outcome.heads) {
+        for (device, camera) in (first..).zip(&head.cameras) {
+            let (boards, all) =
+                (seen_positions(&outcome.together.observations, device), result.positions.len());
+            if boards < all {
                 advice.push(format!(
-                    "camera {} saw the board in {} of {} positions: place it where both cameras of {} see it",
-                    camera.id,
-                    boards.len(),
-                    result.positions.len(),
-                    head.id
+                    "camera {} saw the board in {boards} of {all} positions: place it where both cameras of {} see it",
+                    camera.id, head.id
                 ));
             }
             let cells = coverage(outcome, device, (camera.device.width, camera.device.height));
@@ -84,9 +75,7 @@ fn of_cameras(outcome: &Outcome, calibration: &Calibration) -> Vec<String> {
                     emptiest_side(&cells)
                 ));
             }
-            device += 1;
         }
-        device += 1;
     }
     advice
 }

@@ -1,19 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The board as it is printed: SVG in millimetres, a picture, and the list of its circles.
+//! The board's artwork: SVG in millimetres for print, a picture, and the list of its circles.
 //!
 //! Board y runs upwards, image rows run downwards: row 0 of the grid is at the bottom of both.
 
 use super::board::Board;
 use crate::base::image::Plane;
+use crate::base::print::html;
 use std::fmt::Write as _;
 
-/// To be printed at scale 1; circles as designed or as measured, whatever the board file has.
+/// The board as an SVG to be printed at scale 1. Circles are as designed, or as measured where the board file has that.
 pub fn svg(board: &Board) -> String {
     let [width, height] = board.size_m.map(|m| m * 1e3);
     let mut text = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}mm\" height=\"{height}mm\" viewBox=\"0 0 {width} {height}\">\n\
          <title>{}</title>\n<rect width=\"{width}\" height=\"{height}\" fill=\"white\"/>\n",
-        board.name.replace('&', "&amp;").replace('<', "&lt;")
+        html(&board.name)
     );
     for circle in board.circles() {
         let [x, y, _] = circle.centre_m;
@@ -110,7 +111,7 @@ mod tests {
             }
         }
         let error = identify(&find_spots(Mono8::from(&mirrored)), &board).expect_err("mirrored");
-        assert!(error.to_string().contains("mirrored"), "{error}");
+        assert_eq!(error.kind, crate::Kind::Mirrored, "{error:?}");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 use std::cell::RefCell;
 use std::path::Path;
 
-/// One circle.
+/// One circle of the board, as the board file has it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Circle {
     /// Column in the grid, from 0.
@@ -22,26 +22,25 @@ pub struct Circle {
     pub centre_m: [f64; 3],
     /// Its radius as measured, m.
     pub radius_m: f64,
-    /// One of the larger circles that tell the orientation.
+    /// Whether it is one of the larger circles, whose arrangement codes the orientation.
     pub large: bool,
 }
 
-/// A board.
+/// The calibration board. `load` makes it from a board file, whose arrangement of larger circles is then unambiguous;
+/// whoever calibrates, validates or draws owns it, and nothing changes it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Board {
-    /// Its name; calibrations state it.
+    /// Its name in the board file; calibrations state it.
     pub name: String,
     /// Outer size (x, y), m.
     pub size_m: [f64; 2],
-    /// Columns of circles.
     pub columns: usize,
-    /// Rows of circles.
     pub rows: usize,
     circles: Vec<Circle>,
 }
 
 const FORMAT: u64 = 1;
-/// Circles of one grid; also bounds what a wrong file can cost.
+/// Most columns, and most rows, of circles: it bounds the memory that a wrong file can take.
 const MOST: u64 = 200;
 
 impl Board {
@@ -111,7 +110,7 @@ fn read_board(root: Section<'_>) -> Board {
     if !(large_radius >= 1.25 * radius) {
         root.problem(
             "large_radius_m",
-            format!("{large_radius} cannot be told from {radius}; expected at least 1.25 times as much"),
+            format!("expected at least 1.25 times radius_m ({radius}), found {large_radius}: sizes would be confused"),
         );
     }
     if !(2.0 * large_radius < 0.8 * pitch) {

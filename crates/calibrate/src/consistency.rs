@@ -1,101 +1,62 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Does an adjusted head make sense: do all positions agree, are the residuals small, is the size that of the rig file?
+//! Whether an adjusted head is consistent: all positions agree, residuals are small, and sizes are those of the rig
+//! file.
 
+use super::estimate::median;
 use super::findings::{Finding, Kind};
-use super::positions::Position;
-use super::stages::{HeadResult, Rigging, StageError};
-use super::views::median;
+use super::observed::Position;
+use super::rigging::{Excluded, HeadResult, Rigging, StageError};
 use std::collections::BTreeSet;
 
-/// Views, by camera (place in its head) and position, that are left out of an adjustment.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Excluded {
-    views: BTreeSet<(usize, usize)>,
-    phases: BTreeSet<(usize, usize)>,
-}
-
-/// A view contradicts the others when its median residual is so many times theirs...
+/// A view contradicts the others when its median residual is this many times the median of all views.
 const TIMES: f64 = 4.0;
-/// ... and larger than this: circles, image px.
+/// Median residual of circles below which a view never contradicts the others, image px.
 const CIRCLES_PX: f64 = 0.1;
-/// Phases, panel px.
+/// Median residual of phases below which a view never contradicts the others, panel px.
 const PHASES_PX: f64 = 0.1;
 
 impl Excluded {
-    /// All views of one position.
-    pub(super) fn position(position: usize, cameras: usize) -> Self {
-        Self { views: (0..cameras).map(|camera| (camera, position)).collect(), ..Self::default() }
-    }
-
-    pub(super) fn has_view(&self, camera: usize, position: usize) -> bool {
-        self.views.contains(&(camera, position))
-    }
-
-    pub(super) fn has_phase(&self, camera: usize, position: usize) -> bool {
-        self.phases.contains(&(camera, position))
-    }
-
-    /// Leaves out the views that contradict the others most, and says so. Circles go first: phases depend on them.
+    /// Leaves out the views that contradict the others most, and reports them. Circles go first: phases depend on them.
     pub(super) fn contradicting(&mut self, rigging: &Rigging<'_>, result: &HeadResult) -> Vec<Finding> {
-        let circles = medians(result, true);
-        let bad = worst(&circles, CIRCLES_PX);
-        if !bad.is_empty() {
-            self.views.extend(bad.iter().map(|(key, _)| *key));
-            return bad
-                .iter()
-                .map(|&((camera, place), px)| {
-                    let message = format!(
-                        "its circles contradict the other positions by {px:.2} px: did the board move or bend, or another board?"
-                    );
-                    finding(rigging, result, camera, place, Kind::Disagrees, message)
-                })
-                .collect();
-        }
-        let bad = worst(&medians(result, false), PHASES_PX);
-        self.phases.extend(bad.iter().map(|(key, _)| *key));
-        bad.iter()
-            .map(|&((camera, place), px)| {
+        let circles = worst(&medians(result, true), CIRCLES_PX);
+        let (bad, moved) = if circles.is_empty() {
+            (worst(&medians(result, false), PHASES_PX), true)
+        } else {
+            (circles, false)
+        };
+        let excluded = if moved { &mut self.phases } else { &mut self.views };
+        excluded.extend(bad.iter().map(|(key, _)| *key));
+        let finding = |((camera, place), px): (Key, f64)| {
+            let camera = &rigging.nominal.heads[result.head].cameras[camera].id;
+            let position = &rigging.positions[place];
+            if moved {
                 let message = format!(
                     "the phase contradicts the circles by {px:.2} panel px beside whole fringes: the board moved between the white frame and the fringes. Hold it still"
                 );
-                finding(rigging, result, camera, place, Kind::Moved, message)
-            })
-            .collect()
+                let trigger = position.fringes.unwrap_or(position.white);
+                return Finding::left_out(camera, trigger, Some(place), Kind::Moved, message);
+            }
+            let message = format!(
+                "its circles contradict the other positions by {px:.2} px: did the board move or bend, or is it another board?"
+            );
+            Finding::left_out(camera, position.white, Some(place), Kind::Disagrees, message)
+        };
+        bad.into_iter().map(finding).collect()
     }
 
-    /// Too much left out is no calibration.
+    /// Refuses a head of which more than half of the views are left out.
     pub(super) fn check(&self, rigging: &Rigging<'_>, head: usize) -> Result<(), StageError> {
         let cameras = rigging.nominal.cameras_of(head);
         let views = |p: &Position| p.views[cameras.clone()].iter().flatten().count();
         let views: usize = rigging.positions.iter().map(views).sum();
         let excluded = self.views.union(&self.phases).count();
         if 2 * excluded > views {
-            return Err(StageError::Contradictory { head: rigging.head_name(head), excluded, views });
+            return Err(StageError::Refused(format!(
+                "head {}: {excluded} of {views} views contradict the others; nothing can be trusted. Is the board stiff, does its file give the measured centres, did it stand still from the white frame to the fringes?",
+                rigging.head_name(head)
+            )));
         }
         Ok(())
-    }
-}
-
-fn finding(
-    rigging: &Rigging<'_>,
-    result: &HeadResult,
-    camera: usize,
-    place: usize,
-    kind: Kind,
-    message: String,
-) -> Finding {
-    let position = &rigging.positions[place];
-    Finding {
-        camera: rigging.nominal.heads[result.head].cameras[camera].id.clone(),
-        trigger: Some(if kind == Kind::Moved {
-            position.fringes.unwrap_or(position.white)
-        } else {
-            position.white
-        }),
-        position: Some(place + 1),
-        kind,
-        left_out: true,
-        message,
     }
 }
 
@@ -129,40 +90,26 @@ fn worst(medians: &[(Key, f64)], least_px: f64) -> Vec<(Key, f64)> {
     medians.iter().filter(|(_, px)| *px > limit).copied().collect()
 }
 
-/// What an adjusted head must keep to.
-pub(super) struct Limits {
-    /// Median residual of circles, image px.
-    circles_px: f64,
-    /// Median residual of phases, panel px.
-    phases_px: f64,
-    /// Distance of the head's cameras relative to the rig file's.
-    scale: f64,
-    /// Standard deviation of a focal length, as a share.
-    focal: f64,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self { circles_px: 0.25, phases_px: 0.25, scale: 0.05, focal: 0.003 }
-    }
-}
+/// Largest median residual of circles (image px) and of phases (panel px) in a head that is accepted.
+const RESIDUAL_PX: f64 = 0.25;
+/// Largest difference of the distance between a head's cameras from the rig file's, as a share.
+const SCALE: f64 = 0.05;
+/// Largest standard deviation of a focal length, as a share of it.
+const FOCAL: f64 = 0.003;
 
 impl Rigging<'_> {
     /// Refuses what would be a bad calibration.
-    pub(super) fn check(&self, result: &HeadResult, limits: &Limits) -> Result<(), StageError> {
-        let head = || self.head_name(result.head);
-        for (what, circles, limit) in
-            [("circles", true, limits.circles_px), ("phases", false, limits.phases_px)]
-        {
+    pub(super) fn check(&self, result: &HeadResult) -> Result<(), StageError> {
+        let refused =
+            |why: String| Err(StageError::Refused(format!("head {}: {why}", self.head_name(result.head))));
+        for (what, circles) in [("circles", true), ("phases", false)] {
             let found = median(medians(result, circles).into_iter().map(|(_, px)| px));
-            if !(found <= limit) {
-                let (found_millipixels, limit_millipixels) = ((found * 1e3) as u32, (limit * 1e3) as u32);
-                return Err(StageError::Residuals {
-                    head: head(),
-                    what,
-                    found_millipixels,
-                    limit_millipixels,
-                });
+            if !(found <= RESIDUAL_PX) {
+                return refused(format!(
+                    "{what} are explained to {} thousandths of a pixel, expected {} or less. Is the board flat, and its file that of this board?",
+                    (found * 1e3) as u32,
+                    RESIDUAL_PX * 1e3
+                ));
             }
         }
         let devices = &result.all.model.devices;
@@ -171,17 +118,21 @@ impl Rigging<'_> {
             let expected = (first.device.centre() - last.device.centre()).norm();
             let centre = |d: usize| devices[d].device_from_frame.inverse().translation.vector;
             let found = (centre(0) - centre(nominal.cameras.len() - 1)).norm();
-            if expected > 0.1 && (found / expected - 1.0).abs() > limits.scale {
-                let percent = (100.0 * found / expected).round() as u32;
-                return Err(StageError::Scale { head: head(), percent });
+            if expected > 0.1 && (found / expected - 1.0).abs() > SCALE {
+                return refused(format!(
+                    "its cameras come out {:.0} % as far apart as in the rig file, expected 95 to 105. Is it the file of this board, in metres?",
+                    (100.0 * found / expected).round()
+                ));
             }
         }
         for (d, (device, sigma)) in devices.iter().zip(&result.all.device_sigma).enumerate() {
             let share = sigma[0] / device.lens.fx;
-            if !(share <= limits.focal) {
-                let name = nominal.cameras.get(d).map_or("the projector".to_owned(), |c| c.id.to_string());
-                let per_mille = (share * 1e3).round() as u32;
-                return Err(StageError::Uncertain { head: head(), device: name, per_mille });
+            if !(share <= FOCAL) {
+                let name = nominal.cameras.get(d).map_or("the projector", |camera| camera.id.as_str());
+                return refused(format!(
+                    "the focal length of {name} is known to {:.0} per mille only, expected 3 or less. More positions are needed that fill the image and are tilted more",
+                    (share * 1e3).round()
+                ));
             }
         }
         Ok(())

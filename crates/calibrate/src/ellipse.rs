@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Ellipses: the conic that fits edge points, and its centre and axes.
 
-use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, SymmetricEigen, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Vector2, Vector3};
 
 /// An ellipse in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ellipse {
-    /// Centre (u, v), px.
     pub centre: [f64; 2],
     /// Half axes, the longer first, px.
     pub axes: [f64; 2],
@@ -57,8 +56,8 @@ impl Ellipse {
         Some(Self { centre: centre.into(), axes, angle: direction[1].atan2(direction[0]) })
     }
 
-    /// The ellipse with the moments of a region's pixels (half axes are twice their standard deviations), and the number of
-    /// pixels relative to its area: 1 where they fill it. `None` where the pixels lie on a line.
+    /// The ellipse with the moments of a region's pixels (half axes are twice their standard deviations), and the
+    /// number of pixels relative to its area: 1 where they fill it. `None` where the pixels lie on a line.
     pub fn of_region(pixels: impl Iterator<Item = [f64; 2]> + Clone) -> Option<(Self, f64)> {
         let n = pixels.clone().count() as f64;
         let mean = |axis: usize| pixels.clone().map(|p| p[axis]).sum::<f64>() / n;
@@ -99,23 +98,11 @@ impl Ellipse {
         let reduced = Matrix3::from_rows(&[m.row(2) / 2.0, -m.row(1), m.row(0) / 2.0]);
         let a1 = ellipse_vector(&reduced)?;
         let a2 = t * a1;
-        let q = Matrix3::new(
-            a1[0],
-            a1[1] / 2.0,
-            a2[0] / 2.0, //
-            a1[1] / 2.0,
-            a1[2],
-            a2[1] / 2.0, //
-            a2[0] / 2.0,
-            a2[1] / 2.0,
-            a2[2],
-        );
+        let [a, b, c, d, e, f] = [a1[0], a1[1] / 2.0, a1[2], a2[0] / 2.0, a2[1] / 2.0, a2[2]];
+        let q = Matrix3::new(a, b, d, b, c, e, d, e, f);
         let unit = Self::from_conic(&q).or_else(|| Self::from_conic(&-q))?;
-        Some(Self {
-            centre: [unit.centre[0] * scale + mu, unit.centre[1] * scale + mv],
-            axes: unit.axes.map(|a| a * scale),
-            angle: unit.angle,
-        })
+        let centre = [unit.centre[0] * scale + mu, unit.centre[1] * scale + mv];
+        Some(Self { centre, axes: unit.axes.map(|a| a * scale), angle: unit.angle })
     }
 }
 
@@ -142,18 +129,6 @@ pub fn image_of_circle(columns: &Matrix3<f64>, radius_m: f64) -> Option<Ellipse>
     let circle = Matrix3::from_diagonal(&Vector3::new(radius_m * radius_m, radius_m * radius_m, -1.0));
     let dual = columns * circle * columns.transpose();
     Ellipse::from_conic(&dual.try_inverse()?).or_else(|| Ellipse::from_conic(&-dual.try_inverse()?))
-}
-
-/// Ordinary least squares of a small system.
-pub(super) fn least_squares<const N: usize>(
-    rows: impl Iterator<Item = (SVector<f64, N>, f64)>,
-) -> Option<SVector<f64, N>> {
-    let (mut normal, mut right) = (SMatrix::<f64, N, N>::zeros(), SVector::<f64, N>::zeros());
-    for (row, value) in rows {
-        normal += row * row.transpose();
-        right += row * value;
-    }
-    normal.cholesky().map(|factor| factor.solve(&right)).filter(|x| x.iter().all(|v| v.is_finite()))
 }
 
 #[cfg(test)]

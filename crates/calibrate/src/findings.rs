@@ -1,20 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What was wrong with the photographs of a calibration, by camera and position.
 
-use super::lattice::NotIdentified;
 use crate::base::ids::{CameraId, TriggerIndex};
 use std::fmt;
 
 /// Something that was left out, or looks wrong.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Finding {
-    /// The camera.
     pub camera: CameraId,
     /// The frame; `None` where it is about many.
     pub trigger: Option<TriggerIndex>,
     /// The position of the board, counted from 1 by its white frames; `None` where it is about many or none.
     pub position: Option<usize>,
-    /// What kind of thing it is, for programs.
     pub kind: Kind,
     /// Whether the frame was left out; otherwise it was used as far as it goes.
     pub left_out: bool,
@@ -22,15 +19,47 @@ pub struct Finding {
     pub message: String,
 }
 
-/// Kinds of findings.
+/// Why a frame cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refusal {
+    pub kind: Kind,
+    /// What was found and what to do, for people.
+    pub message: String,
+}
+
+impl Refusal {
+    pub(super) fn new(kind: Kind, message: impl Into<String>) -> Self {
+        Self { kind, message: message.into() }
+    }
+}
+
+impl Finding {
+    /// A frame that is left out; `place` is its position of the board, counted from 0.
+    pub(super) fn left_out(
+        camera: &CameraId,
+        trigger: TriggerIndex,
+        place: Option<usize>,
+        kind: Kind,
+        message: impl Into<String>,
+    ) -> Self {
+        let (camera, position) = (camera.clone(), place.map(|place| place + 1));
+        Self { camera, trigger: Some(trigger), position, kind, left_out: true, message: message.into() }
+    }
+
+    /// The same of a frame that is used as far as it goes.
+    pub(super) fn used(self) -> Self {
+        Self { left_out: false, ..self }
+    }
+}
+
+/// Kinds of findings, for programs: their names are in the JSON result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// Triggers without a frame.
     NoFrames,
     /// No grid of circles in a white frame.
     NoBoard,
-    /// The larger circles do not lie as the board file says.
+    /// The larger circles do not lie as in the board file.
     WrongBoard,
     /// The board is seen mirrored.
     Mirrored,
@@ -38,13 +67,12 @@ pub enum Kind {
     Ambiguous,
     /// Fewer circles than a view needs.
     FewCircles,
-    /// Edges are too wide.
     Blurred,
     /// The white is at the sensor's limit.
     Saturated,
     /// Circles that should be seen are not.
     Hidden,
-    /// Circles are larger or smaller than the board file says.
+    /// Circles are larger or smaller than in the board file.
     CircleSize,
     /// Fringes in which no marker was found; their orders are those that the board gives.
     NoMarker,
@@ -62,17 +90,6 @@ pub enum Kind {
     Moved,
     /// The position contradicts the others.
     Disagrees,
-}
-
-impl From<&NotIdentified> for Kind {
-    fn from(reason: &NotIdentified) -> Self {
-        match reason {
-            NotIdentified::TooFew { .. } => Self::NoBoard,
-            NotIdentified::NoMatch { .. } => Self::WrongBoard,
-            NotIdentified::Mirrored => Self::Mirrored,
-            NotIdentified::Ambiguous { .. } => Self::Ambiguous,
-        }
-    }
 }
 
 impl fmt::Display for Finding {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a projector makes of its panel values, from the same board in white light and in fringes.
+//! The response of a projector to its panel values, measured on the board in white light and in fringes.
 //!
 //! Light that is the panel's share to the power g, instead of the share itself, has another mean over a period: blur of
 //! projector and lens takes from the harmonics, but nothing from the mean. With fringes `s (1/2 + 1/2 cos)` the mean is
@@ -7,30 +7,19 @@
 //! white level, point by point, gives it without the sensor's offset and the room's light.
 
 use super::board::Board;
-use super::ellipse::least_squares;
-use super::views::View;
+use super::estimate::{least_squares, median};
+use super::observed::{LightSample, View};
 use crate::base::image::Plane;
 use crate::data::Response;
 use crate::geometry::pattern::{Marker, Pattern};
 use nalgebra::{SVector, Vector2};
 use std::f64::consts::TAU;
 
-/// Light around one point of the white field.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LightSample {
-    /// Mean level in white light, grey levels.
-    pub white: f64,
-    /// Mean level of the fringes, grey levels.
-    pub mean: f64,
-    /// Amplitudes of the fringes' first three harmonics, grey levels.
-    pub harmonics: [f64; 3],
-}
-
 /// Half the window around a point, px.
 const REACH: i64 = 8;
-/// What the black panel's light and stray light of the room do to an exponent.
+/// Systematic standard deviation of an exponent: light of the black panel, and stray light of the room.
 const SYSTEMATIC: f64 = 0.015;
-/// Fewest points.
+/// Fewest points from which a projector's response is taken.
 const LEAST_SAMPLES: usize = 50;
 /// Periods around the marker that are left out.
 const MARKER_PERIODS: f64 = 1.5;
@@ -108,9 +97,7 @@ pub(super) fn response<'a>(
     let mut fit = least_squares(kept.iter().map(line))?;
     for _ in 0..3 {
         let off = |s: &&LightSample| s.mean - fit[0] - fit[1] * s.white;
-        let mut sizes: Vec<f64> = samples.iter().map(|s| off(s).abs()).collect();
-        sizes.sort_by(f64::total_cmp);
-        let gate = 4.0 * 1.4826 * sizes[sizes.len() / 2].max(0.05);
+        let gate = 4.0 * 1.4826 * median(samples.iter().map(|s| off(s).abs())).max(0.05);
         kept = samples.iter().copied().filter(|s| off(s).abs() <= gate).collect();
         fit = least_squares(kept.iter().map(line))?;
     }
@@ -122,11 +109,7 @@ pub(super) fn response<'a>(
     let exponent = exponent_of(fit[1], pattern)?;
     let slope = |e: f64| mean_share(e, pattern);
     let per_exponent = (slope(exponent + 1e-3) - slope(exponent - 1e-3)) / 2e-3;
-    let share = |i: usize| {
-        let mut shares: Vec<f64> = kept.iter().map(|s| s.harmonics[i] / s.harmonics[0].max(1e-9)).collect();
-        shares.sort_by(f64::total_cmp);
-        shares[shares.len() / 2]
-    };
+    let share = |i: usize| median(kept.iter().map(|s| s.harmonics[i] / s.harmonics[0].max(1e-9)));
     Some(Response {
         gamma: exponent * pattern.gamma,
         sigma: (slope_sigma / per_exponent).hypot(SYSTEMATIC) * pattern.gamma,

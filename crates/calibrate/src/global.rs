@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Stage 3, section 4.2 of the paper: heads brought into one frame by the positions of the board that several saw, and
-//! one last adjustment of everything, so that errors of a loop are spread as the observations ask.
+//! one last adjustment of everything, so that errors of a loop are spread by the weights of
+//! the observations.
 
 use super::board::Board;
 use super::bundle::{Adjusted, DeviceModel, Model, Observation, Prior, adjust};
-use super::stages::{HeadResult, Rigging, StageError};
+use super::rigging::{HeadResult, Rigging, StageError};
 use super::world::{Vertical, into_world};
 use crate::data::{Calibration, World};
 use crate::geometry::{Device, Pose};
@@ -20,7 +21,7 @@ pub struct Link {
     pub heads: [usize; 2],
     /// Takes the second head's frame to the first's.
     pub first_from_second: Isometry3<f64>,
-    /// Common positions.
+    /// How many positions both heads saw.
     pub positions: usize,
     /// RMS distance of the board's corners between both heads' views, after the relation, m.
     pub rms_m: f64,
@@ -71,10 +72,10 @@ fn mean_pose(poses: impl Iterator<Item = Isometry3<f64>> + Clone) -> Option<Isom
     Some(Isometry3::from_parts(shift.into(), UnitQuaternion::from_scaled_axis(turn) * first.rotation))
 }
 
-/// Everything in one frame.
+/// All heads in one frame, the world: stage 3 makes it, and `run` turns it into the calibration.
 #[derive(Debug, Clone)]
 pub struct Together {
-    /// Stage 3, pairs of heads.
+    /// The relations between pairs of heads, before the last adjustment.
     pub links: Vec<Link>,
     /// Largest corner displacement around a closed loop of heads, m; `None` without a loop.
     pub loop_error_m: Option<f64>,
@@ -97,7 +98,7 @@ pub fn bring_together(
     let loop_error_m = loop_error(rigging.board, heads, &links);
     let Merged { model, positions, mut observations, priors } = merged(rigging, heads, &frames);
     let mut all = adjust(model, &observations, &priors, 0)
-        .map_err(|error| StageError::Adjust { head: "all heads".to_owned(), error })?;
+        .map_err(|error| StageError::Refused(format!("all heads: {error}")))?;
     observations.shrink_to_fit();
     let devices = |head: &HeadResult| {
         let nominal = &rigging.nominal.heads[head.head];
@@ -132,10 +133,13 @@ fn frames(
             }
         }
     }
-    let named = heads.iter().zip(found);
-    named
-        .map(|(h, frame)| frame.ok_or_else(|| StageError::Alone { head: rigging.head_name(h.head) }))
-        .collect()
+    let alone = |h: &HeadResult| {
+        StageError::Refused(format!(
+            "head {} saw no position of the board together with another head. Show the board between two heads",
+            rigging.head_name(h.head)
+        ))
+    };
+    heads.iter().zip(found).map(|(h, frame)| frame.ok_or_else(|| alone(h))).collect()
 }
 
 /// Around h0 -> h1 -> ... -> h0, where every neighbour has a link.

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which position of the board comes next: leads an operator through a calibration. It knows neither cameras nor nodes;
-//! it is told what every position gave.
+//! Which position of the board comes next: leads an operator through a calibration. It knows neither cameras nor nodes,
+//! only what each position gave.
 
 use super::board::Board;
-use super::positions::Position;
+use super::observed::Position;
 use super::start::{board_pose, is_same_position};
 use crate::data::Calibration;
 use nalgebra::{Isometry3, Vector3};
@@ -18,17 +18,13 @@ const TILTED_DEG: f64 = 12.0;
 /// How the board should stand before a head.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stand {
-    /// Facing it.
     Facing,
-    /// Its face turned to the right of somebody who looks from the head.
+    /// Its face turned to the right, as seen from the head.
     Right,
-    /// To the left.
     Left,
-    /// Tilted upwards.
     Up,
-    /// Tilted downwards.
     Down,
-    /// In any way that was not there yet.
+    /// In any way that no earlier position had.
     Other,
 }
 
@@ -43,13 +39,13 @@ impl Stand {
             Self::Up => "tilted upwards by 15 degrees",
             Self::Down => "tilted downwards by 15 degrees",
             Self::Other => {
-                "nearer or farther, or turned about its own middle: any way that was not there yet"
+                "nearer or farther, or turned about its own middle: any way that no earlier position had"
             }
         }
     }
 }
 
-/// What to do next.
+/// The next position that the operator is led to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Request {
     /// The board before one head (its place in the rig).
@@ -58,7 +54,7 @@ pub enum Request {
     Between(usize, usize),
 }
 
-/// How far a calibration is.
+/// How far a guided calibration is. The command makes it, adds each position it captured, and drops it at the end.
 pub struct Guide<'a> {
     nominal: &'a Calibration,
     board: &'a Board,
@@ -67,12 +63,12 @@ pub struct Guide<'a> {
 }
 
 impl<'a> Guide<'a> {
-    /// Nothing done yet.
+    /// A calibration without any position yet.
     pub fn new(nominal: &'a Calibration, board: &'a Board) -> Self {
         Self { nominal, board, done: Vec::new() }
     }
 
-    /// Counts a position; says for each head whether it was usable.
+    /// Counts a position; returns for each head whether it was usable.
     pub fn add(&mut self, position: &Position) -> Vec<bool> {
         let mut seen = Vec::new();
         for (place, head) in self.nominal.heads.iter().enumerate() {
@@ -91,14 +87,25 @@ impl<'a> Guide<'a> {
         usable
     }
 
-    /// Forgets the last position.
+    /// Takes the last position away again.
     pub fn undo(&mut self) {
         self.done.pop();
     }
 
-    /// What comes next; `None` when all is there.
+    /// What comes next: first positions before each head, then common ones of neighbours. `None` when all is there.
     pub fn next(&self) -> Option<Request> {
-        self.heads_next().or_else(|| self.between_next())
+        let heads = self.nominal.heads.len();
+        let before = |head: usize| {
+            let positions = self.positions(head);
+            let stands: Vec<Stand> = positions.iter().map(|pose| self.stand(head, pose)).collect();
+            let missing = Stand::ALL.into_iter().find(|stand| !stands.contains(stand));
+            let more = (positions.len() < POSITIONS).then_some(Stand::Other);
+            missing.or(more).map(|stand| Request::Head(head, stand))
+        };
+        let pairs = if heads > 2 { heads } else { heads.saturating_sub(1) };
+        let mut neighbours = (0..pairs).map(|a| (a, (a + 1) % heads));
+        let mut between = || neighbours.find(|&(a, b)| self.common(a, b) < COMMON);
+        (0..heads).find_map(before).or_else(|| between().map(|(a, b)| Request::Between(a, b)))
     }
 
     /// The board's positions before a head that differ from each other.
@@ -112,28 +119,6 @@ impl<'a> Guide<'a> {
         distinct
     }
 
-    fn heads_next(&self) -> Option<Request> {
-        (0..self.nominal.heads.len()).find_map(|head| {
-            let positions = self.positions(head);
-            let stands: Vec<Stand> = positions.iter().map(|pose| self.stand(head, pose)).collect();
-            let missing = Stand::ALL.into_iter().find(|stand| !stands.contains(stand));
-            let more = (positions.len() < POSITIONS).then_some(Stand::Other);
-            missing.or(more).map(|stand| Request::Head(head, stand))
-        })
-    }
-
-    fn between_next(&self) -> Option<Request> {
-        self.neighbours()
-            .into_iter()
-            .find_map(|(a, b)| (self.common(a, b) < COMMON).then_some(Request::Between(a, b)))
-    }
-
-    fn neighbours(&self) -> Vec<(usize, usize)> {
-        let n = self.nominal.heads.len();
-        let pairs = if n > 2 { n } else { n.saturating_sub(1) };
-        (0..pairs).map(|a| (a, (a + 1) % n)).collect()
-    }
-
     fn common(&self, a: usize, b: usize) -> usize {
         self.done.iter().filter(|seen| seen[a].is_some() && seen[b].is_some()).count()
     }
@@ -143,31 +128,25 @@ impl<'a> Guide<'a> {
         let normal = world_from_board.rotation * Vector3::z();
         let back = self.nominal.heads[head].projector.centre().coords - world_from_board.translation.vector;
         let level = Vector3::new(back.x, back.y, 0.0).normalize();
-        // To the right of somebody who looks from the head: away from it, turned by a quarter clockwise from above.
+        // To the right as seen from the head: away from it, turned by a quarter clockwise as seen from above.
         let right = (-level).cross(&Vector3::z());
         let degrees = |share: f64| share.clamp(-1.0, 1.0).asin().to_degrees();
         let (turn, tilt) = (degrees(normal.dot(&right)), degrees(normal.z));
-        match (turn, tilt) {
-            _ if turn.abs().max(tilt.abs()) < TILTED_DEG / 2.0 => Stand::Facing,
-            _ if turn.abs().max(tilt.abs()) < TILTED_DEG => Stand::Other,
-            _ if turn.abs() >= tilt.abs() => {
-                if turn > 0.0 {
-                    Stand::Right
-                } else {
-                    Stand::Left
-                }
-            }
-            _ => {
-                if tilt > 0.0 {
-                    Stand::Up
-                } else {
-                    Stand::Down
-                }
-            }
+        let most = turn.abs().max(tilt.abs());
+        if most < TILTED_DEG / 2.0 {
+            Stand::Facing
+        } else if most < TILTED_DEG {
+            Stand::Other
+        } else if turn.abs() >= tilt.abs() {
+            if turn > 0.0 { Stand::Right } else { Stand::Left }
+        } else if tilt > 0.0 {
+            Stand::Up
+        } else {
+            Stand::Down
         }
     }
 
-    /// For the operator.
+    /// The request as a sentence for the operator.
     pub fn words(&self, request: Request) -> String {
         let name = |head: usize| &self.nominal.heads[head].id;
         match request {

@@ -15,7 +15,7 @@ pub struct Joined {
 
 struct Session {
     parts: Vec<Box<dyn FrameSource>>,
-    /// Its triggers here.
+    /// Its triggers in the joined source.
     triggers: Range<u64>,
     /// The first of them in the parts themselves.
     own_start: u64,
@@ -55,7 +55,7 @@ impl Joined {
         self.sessions.len()
     }
 
-    /// Whether there is none.
+    /// Whether there is no session yet.
     pub fn is_empty(&self) -> bool {
         self.sessions.is_empty()
     }
@@ -76,7 +76,7 @@ impl FrameSource for Joined {
         let part = session.parts.iter().find(|part| part.cameras().contains(camera));
         let lost = part.and_then(|part| part.lost().iter().find(|lost| lost.cameras.contains(camera)));
         match part {
-            // A position less for this camera: the others have theirs.
+            // This camera misses one position; the others have theirs.
             Some(_) if let Some(lost) = lost => Ok(Frame::Gap(lost.to_string())),
             Some(part) => {
                 part.frame(camera, TriggerIndex(trigger.0 - session.triggers.start + session.own_start))

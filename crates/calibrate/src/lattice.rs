@@ -1,80 +1,59 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which circle of the board each found circle is: grows the grid from neighbour to neighbour, then turns and
-//! shifts it until the larger circles fall on the larger circles.
+//! Identifies the circles that were found: grows their grid from neighbour to neighbour, then turns and shifts the grid
+//! until the larger circles fall on the board's larger circles.
 //!
 //! Partial views, holes and stray circles are expected. A view that fits in no way, in more than one, or only
 //! mirrored is refused with the reason.
 
 use super::board::{Board, turned};
+use super::estimate::median;
+use super::findings::{Kind, Refusal};
 use super::spots::Spot;
 use std::collections::{BTreeMap, VecDeque};
 
 /// A circle of the board that was found in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sighting {
-    /// Number in [`Board::circles`].
+    /// Its number in the list [`Board::circles`].
     pub circle: usize,
-    /// Its outline.
     pub spot: Spot,
 }
 
-/// Why an image shows no usable board.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum NotIdentified {
-    /// Too few circles.
-    #[error("{found} circles of a grid, expected at least {LEAST}: is the board in view, lit and sharp?")]
-    TooFew {
-        /// How many were found in a grid.
-        found: usize,
-    },
-    /// The larger circles do not lie as on the board.
-    #[error(
-        "the larger circles do not lie as the board file says ({large} of {spots} circles are large): another board, or the code is hidden"
-    )]
-    NoMatch {
-        /// Larger circles found.
-        large: usize,
-        /// Circles found.
-        spots: usize,
-    },
-    /// The larger circles lie as on the board in a mirror.
-    #[error(
-        "the board is seen mirrored: is the image flipped, or are rows and columns swapped in the board file?"
-    )]
-    Mirrored,
-    /// More than one place on the board fits.
-    #[error("the visible larger circles fit {places} places on the board: show more of the code")]
-    Ambiguous {
-        /// How many.
-        places: usize,
-    },
-}
-
-/// Fewest circles that say something.
+/// Fewest circles of a grid that can be identified.
 const LEAST: usize = 20;
-/// A neighbour is within this share of the step from where it is expected.
+/// Largest distance of a neighbour from where it is expected, as a share of the step to it.
 const TOLERANCE: f64 = 0.3;
 /// Circles whose size may be judged wrongly (hidden edges, dirt) before a place is no match.
 const MISJUDGED: usize = 1;
 
-/// Names the circles.
-pub fn identify(spots: &[Spot], board: &Board) -> Result<Vec<Sighting>, NotIdentified> {
+/// The circles with their places on the board, or why the image shows no usable board.
+pub fn identify(spots: &[Spot], board: &Board) -> Result<Vec<Sighting>, Refusal> {
     let places = grow(spots);
     if places.len() < LEAST {
-        return Err(NotIdentified::TooFew { found: places.len() });
+        let message = format!(
+            "{} circles of a grid, expected at least {LEAST}: is the board in view, lit and sharp?",
+            places.len()
+        );
+        return Err(Refusal::new(Kind::NoBoard, message));
     }
     let large = large_ones(spots, &places, board);
     let fits = fits(&places, &large, board);
-    let best = fits.iter().map(|fit| fit.wrong).min();
-    let large_count = large.iter().filter(|is| **is).count();
-    let Some(best) = best else {
-        return Err(NotIdentified::NoMatch { large: large_count, spots: places.len() });
+    let Some(best) = fits.iter().map(|fit| fit.wrong).min() else {
+        let message = format!(
+            "the larger circles do not lie as in the board file ({} of {} circles are large): another board, or the code is hidden",
+            large.iter().filter(|is| **is).count(),
+            places.len()
+        );
+        return Err(Refusal::new(Kind::WrongBoard, message));
     };
-    // The more sizes are judged wrongly, the further behind must be what else would fit.
+    // The more sizes the best fit judges wrongly, the larger its lead over the next one must be.
     let ahead = MISJUDGED.max(best.saturating_sub(1));
     let rivals: Vec<&Fit> = fits.iter().filter(|fit| fit.wrong <= best + ahead).collect();
     match rivals.as_slice() {
-        [one] if one.turn >= 4 => Err(NotIdentified::Mirrored),
+        [one] if one.turn >= 4 => Err(Refusal::new(
+            Kind::Mirrored,
+            "the board is seen mirrored: is the image flipped, or are rows and columns swapped in the board file?",
+        )),
         [one] => Ok(places
             .iter()
             .filter_map(|(place, &spot)| {
@@ -83,7 +62,13 @@ pub fn identify(spots: &[Spot], board: &Board) -> Result<Vec<Sighting>, NotIdent
                 Some(Sighting { circle, spot: spots[spot] })
             })
             .collect()),
-        _ => Err(NotIdentified::Ambiguous { places: rivals.len() }),
+        _ => Err(Refusal::new(
+            Kind::Ambiguous,
+            format!(
+                "the visible larger circles fit {} places on the board: show more of the code",
+                rivals.len()
+            ),
+        )),
     }
 }
 
@@ -191,16 +176,14 @@ fn large_ones(spots: &[Spot], places: &Places, board: &Board) -> Vec<bool> {
     let limit = (radius(true) / radius(false)).sqrt();
     let is_large = |(place, &spot): (&[i64; 2], &usize)| {
         let around = (-2..=2).flat_map(|y| (-2..=2).map(move |x| [place[0] + x, place[1] + y]));
-        let mut radii: Vec<f64> =
-            around.filter_map(|p| places.get(&p)).map(|&other| spots[other].ellipse.radius()).collect();
-        radii.sort_by(f64::total_cmp);
-        spots[spot].ellipse.radius() > limit * radii[radii.len() / 2]
+        let radii = around.filter_map(|p| places.get(&p)).map(|&other| spots[other].ellipse.radius());
+        spots[spot].ellipse.radius() > limit * median(radii)
     };
     places.iter().map(is_large).collect()
 }
 
-/// Seen at a slant, the shortest ways from a circle may lead along a row and along a diagonal: what undoes that, as
-/// multiples of y that are added to x and of x that are added to y.
+/// Seen at a slant, the shortest steps from a circle may lead along a row and along a diagonal. These shears undo that:
+/// multiples of y that are added to x, and of x that are added to y.
 const SHEARS: [[i64; 2]; 5] = [[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]];
 
 /// A way to lay the found grid on the board.

@@ -1,25 +1,25 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Is the marker where the phase says? On a board, circles that lie along a fringe can pass for dashes; then the whole
-//! phase is some fringes off. Between the circles nothing but the marker changes along its fringe.
+//! Checks that the marker is where the phase has it. On a board, circles that lie along a fringe can pass for dashes;
+//! then the whole phase is some fringes off. Between the circles nothing but the marker changes along its fringe.
 
-use super::ellipse::least_squares;
-use super::views::View;
+use super::estimate::least_squares;
+use super::observed::View;
 use crate::base::image::Plane;
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
-/// Length of the pieces that are looked at, in periods of the marker.
+/// Length of the pieces of a ridge that are judged, in periods of the marker.
 const PIECE: f64 = 1.5;
 /// Periods tried, relative to the one expected.
 const PERIODS: [f64; 5] = [0.8, 0.9, 1.0, 1.12, 1.25];
 /// Share of the modulation projected that must be seen: blur takes the rest.
 const LEAST_CONTRAST: f64 = 0.3;
-/// Pieces that must show it, as a share.
+/// Share of the pieces that must show the modulation.
 const LEAST_SHARE: f64 = 0.5;
-/// Fewest pieces to judge by.
+/// Fewest pieces by which a marker is judged.
 const LEAST_PIECES: usize = 3;
-/// This near to a circle nothing is looked at, px.
+/// Distance from a circle below which a ridge is not judged, px.
 const MARGIN_PX: f64 = 2.5;
 
 /// Whether the fringes that the phase takes for markers are modulated along themselves.

@@ -1,41 +1,29 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which fringes a view of the board shows, read from the board itself.
+//! The fringe orders in a view of the board, found from the board itself.
 //!
-//! A frame by itself has its fringe orders from its marker, and a marker may be misread: then the whole view is some fringes
-//! off. But the board's pose is known by its circles, and with it the column of the panel that lights each of its points. The
-//! projector that most markers agree on is sought first ([`agree`]); what it has at a point says the order there. A view needs
-//! no marker of its own, and no offset of whole fringes can be left in one.
+//! A frame by itself has its fringe orders from its marker, and a marker may be misread: then the whole view is some
+//! fringes off. But the circles give the board's pose, and the projector's model gives the panel column that lights
+//! each point of it. The projector that most markers agree on is sought first ([`agree`]); its column at a point gives
+//! the order there. A view needs no marker of its own, and no offset of whole fringes can be left in one.
 //!
-//! An offset of whole fringes is never motion: the board would have moved by some 40 mm along the view for each, and its
-//! circles would not be where the white frame has them.
+//! An offset of whole fringes is never motion: the board would have moved by some 40 mm along the view for each, and
+//! its circles would not be where the white frame has them.
 
 use super::bundle::{DeviceModel, Model, SeenColumn, column_error, fit_columns};
-use super::consistency::Excluded;
+use super::estimate::median;
 use super::findings::{Finding, Kind};
-use super::phases::{Reading, Which};
-use super::stages::{HeadResult, LEAST_PHASE_POINTS, LEAST_PHASES, Rigging, StageError};
-use super::views::median;
+use super::phases::{LEAST_PHASE_POINTS, LEAST_PHASES, Reading, Which};
+use super::rigging::{Excluded, HeadResult, Misread, Rigging, StageError};
 use std::collections::BTreeSet;
 
 /// Fewest views whose markers must agree.
-pub(super) const LEAST_AGREEING: usize = 4;
-/// Points of a view by which it is judged.
+const LEAST_AGREEING: usize = 4;
+/// Most points of a view by which it is judged, evenly spread.
 const POINTS: usize = 40;
 /// A view agrees with a projector that explains its columns to this share of a fringe.
 const AGREES: f64 = 0.25;
 /// The next view is taken in when it is explained to this share: its whole fringes are certain.
 const NEXT: f64 = 0.45;
-
-/// A view whose marker is so many fringes from where the board has it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Misread {
-    /// The camera, as its place in its head.
-    pub camera: usize,
-    /// The position, as its place in the list of positions.
-    pub position: usize,
-    /// Fringes that it says too much.
-    pub fringes: i64,
-}
 
 impl Rigging<'_> {
     /// Brings the projector, the last of the model's devices, to where most markers have it: to a fraction of a fringe.
@@ -54,41 +42,45 @@ impl Rigging<'_> {
                 continue;
             }
             places.insert(which.position);
-            let told = self.told(head, which, readings);
-            if told.len() >= LEAST_PHASE_POINTS {
+            let read = self.by_marker(head, which, readings);
+            if read.len() >= LEAST_PHASE_POINTS {
                 let pose = model.boards[which.board];
                 let seen = |r: &Reading| (pose * r.point, r.column);
-                marked.push(spread(&told).map(seen).collect::<Vec<SeenColumn>>());
+                marked.push(spread(&read).map(seen).collect::<Vec<SeenColumn>>());
             }
         }
         if places.len() < LEAST_PHASES {
-            // Too little for any projector, which is said elsewhere.
+            // Too little for any projector; `check_phases` reports it.
             return Ok(());
         }
         let (found, agreeing) = agree(&marked, &model.devices[projector], self.nominal.pattern.period_px);
         if agreeing < LEAST_AGREEING || 2 * agreeing <= marked.len() {
-            return Err(StageError::Markers { head: self.head_name(head), agreeing, marked: marked.len() });
+            return Err(StageError::Refused(format!(
+                "head {}: the markers in {agreeing} of {} frames with fringes agree on the fringe orders, expected at least {LEAST_AGREEING} and more than half of them. Project the rig's pattern (`fourdbody pattern`), sharp, and show the board where the marker falls on it",
+                self.head_name(head),
+                marked.len()
+            )));
         }
         model.devices[projector] = found;
         Ok(())
     }
 
-    /// Those whose fringe orders the view's own marker tells.
-    fn told(&self, head: usize, which: Which, readings: Vec<Reading>) -> Vec<Reading> {
-        let view = self.positions[which.position].views[self.first_camera(head) + which.camera].as_ref();
-        let marker = view.and_then(|view| view.phase.as_ref()).is_some_and(|phase| phase.marker);
-        readings.into_iter().filter(|reading| marker && reading.told).collect()
+    /// The readings whose fringe orders the view's own marker gives.
+    fn by_marker(&self, head: usize, which: Which, readings: Vec<Reading>) -> Vec<Reading> {
+        let phase = self.view(head, which.camera, which.position).and_then(|view| view.phase.as_ref());
+        let marker = phase.is_some_and(|phase| phase.marker);
+        readings.into_iter().filter(|reading| marker && reading.by_marker).collect()
     }
 
-    /// The views whose own markers say other orders than the board.
+    /// The views whose own markers give other orders than the board.
     pub(super) fn misread(&self, result: &HeadResult, excluded: &Excluded) -> Vec<Misread> {
         let period = self.nominal.pattern.period_px;
         let views = self.views_with_phase(result.head, &result.positions, excluded).into_iter();
         let of_view = |which: Which| {
             let readings = self.readings(result.head, which, &result.all.model);
-            let told = self.told(result.head, which, readings);
-            // Without any it is no number, and comes to 0 fringes.
-            let fringes = (median(told.iter().map(Reading::excess)) / period).round() as i64;
+            let read = self.by_marker(result.head, which, readings);
+            // Without readings the median is NaN, which becomes 0 fringes.
+            let fringes = (median(read.iter().map(Reading::excess)) / period).round() as i64;
             (fringes != 0).then_some(Misread { camera: which.camera, position: which.position, fringes })
         };
         views.filter_map(of_view).collect()
@@ -96,17 +88,13 @@ impl Rigging<'_> {
 
     pub(super) fn misread_finding(&self, head: usize, misread: &Misread) -> Finding {
         let position = &self.positions[misread.position];
-        Finding {
-            camera: self.nominal.heads[head].cameras[misread.camera].id.clone(),
-            trigger: Some(position.fringes.unwrap_or(position.white)),
-            position: Some(misread.position + 1),
-            kind: Kind::MarkerMisread,
-            left_out: false,
-            message: format!(
-                "its marker was read {} fringes from where the board has it; the fringe orders are those that the board gives",
-                misread.fringes
-            ),
-        }
+        let camera = &self.nominal.heads[head].cameras[misread.camera].id;
+        let trigger = position.fringes.unwrap_or(position.white);
+        let message = format!(
+            "its marker was read {} fringes from where the board has it; the fringe orders are those that the board gives",
+            misread.fringes
+        );
+        Finding::left_out(camera, trigger, Some(misread.position), Kind::MarkerMisread, message).used()
     }
 }
 
@@ -115,8 +103,8 @@ fn spread(readings: &[Reading]) -> impl Iterator<Item = &Reading> {
     readings.iter().step_by(readings.len().div_ceil(POINTS).max(1))
 }
 
-/// The projector near `start` that explains the columns of most views, and how many: grown from each view in turn, until most
-/// are in.
+/// The projector near `start` that explains the columns of most views, and how many: grown from each view in turn,
+/// until most are in.
 fn agree(views: &[Vec<SeenColumn>], start: &DeviceModel, period: f64) -> (DeviceModel, usize) {
     let mut best = (*start, 0);
     for seed in 0..views.len() {
@@ -131,7 +119,8 @@ fn agree(views: &[Vec<SeenColumn>], start: &DeviceModel, period: f64) -> (Device
     best
 }
 
-/// Fits the projector to one view, then to those that it explains, and so on: each adds what the others do not tell.
+/// Fits the projector to one view, then to those that it explains, and so on: each view adds what the others leave
+/// open.
 fn grow(views: &[Vec<SeenColumn>], seed: usize, start: &DeviceModel, period: f64) -> (DeviceModel, usize) {
     let mut members = vec![seed];
     // Each round takes in one view at least, or is the last.

@@ -1,20 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the fringes say at points of the board: the panel column that lights each of them.
+//! Reads the fringes at points of the board: the panel column that lights each of them.
 //!
-//! A phase is known modulo whole turns. Within a window the slope that the board's pose gives brings all pixels to one turn;
-//! over the whole view the projector's model does ([`super::orders`]).
+//! A phase is known modulo whole turns. Within a window the slope that the board's pose gives brings all pixels to one
+//! turn; over the whole view the projector's model does ([`super::orders`]).
 
 use super::board::Board;
-use super::bundle::{Model, Observation};
-use super::consistency::Excluded;
-use super::ellipse::least_squares;
-use super::stages::{Rigging, project};
-use super::views::Phase;
+use super::bundle::{Model, Observation, project};
+use super::estimate::least_squares;
+use super::observed::Phase;
+use super::rigging::{Excluded, Rigging};
 use crate::geometry::pattern::Pattern;
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::{Isometry3, Matrix2, Point3, SVector, Vector2, Vector3};
 use std::f64::consts::TAU;
 
+/// Fewest positions of a head with a phase.
+pub(super) const LEAST_PHASES: usize = 4;
+/// Points with a phase below which a position, or a view, has none.
+pub(super) const LEAST_PHASE_POINTS: usize = 30;
 /// Half the window in which the phase around a board point is fitted, px.
 const WINDOW: i64 = 8;
 /// Share of the window that must have a phase.
@@ -27,26 +30,27 @@ const STEP_M: f64 = 1e-3;
 /// A point of the board in one view.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reading {
-    /// Board frame, m.
+    /// The point in the board's frame, m.
     pub(super) point: Point3<f64>,
     /// The panel column that lights it by the projector's model, px.
     pub(super) expected: f64,
-    /// The one that its phase says, px: but for whole fringes.
+    /// The panel column of its phase, px; whole fringes may be missing.
     pub(super) column: f64,
     /// Standard deviation of that, px.
     pub(super) sigma_px: f64,
-    /// Whether the marker of its frame tells the whole fringes.
-    pub(super) told: bool,
+    /// Whether the marker of its frame gives the whole fringes.
+    pub(super) by_marker: bool,
 }
 
 impl Reading {
-    /// How much more its phase says than expected, px.
+    /// How much larger the column of its phase is than expected, px.
     pub(super) fn excess(&self) -> f64 {
         self.column - self.expected
     }
 }
 
-/// Which view: a camera, as its place in its head, and a position of the board, as its place among all and in the model.
+/// Which view: a camera, as its place in its head, and a position of the board, as its place among all and in the
+/// model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Which {
     pub(super) camera: usize,
@@ -63,27 +67,25 @@ impl Rigging<'_> {
         excluded: &Excluded,
     ) -> Vec<Which> {
         let cameras = 0..self.nominal.heads[head].cameras.len();
-        let first = self.first_camera(head);
         let all = cameras.flat_map(|camera| {
             positions.iter().enumerate().map(move |(board, &position)| Which { camera, position, board })
         });
         all.filter(|&Which { camera, position, .. }| {
-            let view = self.positions[position].views[first + camera].as_ref();
-            view.is_some_and(|view| view.phase.is_some())
-                && !excluded.has_view(camera, position)
-                && !excluded.has_phase(camera, position)
+            self.view(head, camera, position).is_some_and(|view| view.phase.is_some())
+                && !excluded.views.contains(&(camera, position))
+                && !excluded.phases.contains(&(camera, position))
         })
         .collect()
     }
 
-    /// What the phase of a view says at points of the white field: between circles that were seen in both frames, so that
-    /// nothing stands in front of the point.
+    /// Reads the phase of a view at points between circles that were seen in both frames, so that nothing stands in
+    /// front of the point.
     pub(super) fn readings(&self, head: usize, which: Which, model: &Model) -> Vec<Reading> {
         let nominal = &self.nominal.heads[head];
         let Ok(pair) = CameraProjector::new(nominal, &nominal.cameras[which.camera], self.nominal) else {
             return Vec::new();
         };
-        let view = self.positions[which.position].views[self.first_camera(head) + which.camera].as_ref();
+        let view = self.view(head, which.camera, which.position);
         let Some((view, phase)) = view.and_then(|view| Some((view, view.phase.as_ref()?))) else {
             return Vec::new();
         };
@@ -103,16 +105,16 @@ impl Rigging<'_> {
             let ((x, column_x), (y, column_y)) = (along(Vector3::x())?, along(Vector3::y())?);
             let pixels = Matrix2::from_columns(&[x, y]).try_inverse()?;
             let slope = pixels.transpose() * Vector2::new(column_x, column_y);
-            let (column, sigma_px, told) = column_at(phase, pixel, slope.into(), &pair)?;
-            Some(Reading { point: *point, expected, column, sigma_px, told })
+            let (column, sigma_px, by_marker) = column_at(phase, pixel, slope.into(), &pair)?;
+            Some(Reading { point: *point, expected, column, sigma_px, by_marker })
         };
         let points = field_points(self.board);
         let seen = points.iter().filter(|(_, circles)| circles.iter().all(is_seen));
         seen.filter_map(|(point, _)| read(point)).collect()
     }
 
-    /// What the projector "saw" of the white field, through the phase in one camera's frames, with the fringe orders that
-    /// the board gives each view.
+    /// The projector's observations between the circles, from the phase in one camera's frames, with the fringe orders
+    /// that the board gives each view.
     pub(super) fn phases(
         &self,
         head: usize,
@@ -138,8 +140,8 @@ impl Rigging<'_> {
     }
 }
 
-/// Brings the readings of one view to the fringes that the projector's model has there, all together: what is left is the
-/// same for neighbours, and at most half a fringe on the mean. Leaves out those near the marker.
+/// Brings the readings of one view to the fringes that the projector's model has there, all together: what is left is
+/// the same for neighbours, and at most half a fringe on the mean. Leaves out those near the marker.
 fn in_order(readings: Vec<Reading>, pattern: &Pattern) -> Vec<Reading> {
     let period = pattern.period_px;
     let left = modulo_mean(readings.iter().map(Reading::excess), period);
@@ -160,10 +162,11 @@ fn modulo_mean(values: impl Iterator<Item = f64>, period: f64) -> f64 {
     sum[1].atan2(sum[0]) * period / TAU
 }
 
-/// The panel column that lights the board at pixel (u, v), its standard deviation, px, and whether the marker tells its whole
-/// fringes. `slope`: how the column changes along u and v there. Which fringe of several is that of most of the window.
+/// The panel column that lights the board at pixel (u, v), its standard deviation, px, and whether the marker gives its
+/// whole fringes. `slope`: how the column changes along u and v there. Which fringe of several is that of most of the
+/// window.
 fn column_at(
-    Phase { plane: phase, told, .. }: &Phase,
+    Phase { plane: phase, by_marker, .. }: &Phase,
     [u, v]: [f64; 2],
     slope: [f64; 2],
     pair: &CameraProjector,
@@ -175,13 +178,13 @@ fn column_at(
     }
     let slope = slope.map(|columns| columns * TAU / pair.pattern.period_px);
     let room = ((2 * WINDOW + 1) * (2 * WINDOW + 1)) as usize;
-    let (mut rows, mut is_told) = (Vec::with_capacity(room), Vec::with_capacity(room));
+    let (mut rows, mut marks) = (Vec::with_capacity(room), Vec::with_capacity(room));
     for y in row - WINDOW..=row + WINDOW {
         for x in column - WINDOW..=column + WINDOW {
             let value = f64::from(phase.at(x as usize, y as usize));
             if !value.is_nan() {
                 rows.push((Vector3::new(1.0, x as f64 - u, y as f64 - v), value));
-                is_told.push(told.at(x as usize, y as usize));
+                marks.push(by_marker.at(x as usize, y as usize));
             }
         }
     }
@@ -195,7 +198,7 @@ fn column_at(
     let each = turns.clone();
     let middle = turns.len() / 2;
     let most = *turns.select_nth_unstable_by(middle, f64::total_cmp).1;
-    let told = each.iter().zip(&is_told).filter(|(own, told)| **told && **own == most).count();
+    let marked = each.iter().zip(&marks).filter(|(own, marked)| **marked && **own == most).count();
     rows.iter_mut().zip(each).for_each(|((_, value), own)| *value -= TAU * (own - most));
     let fit: SVector<f64, 3> = least_squares(rows.iter().copied())?;
     let sum: f64 = rows.iter().map(|(row, value)| (row.dot(&fit) - value).powi(2)).sum();
@@ -204,10 +207,10 @@ fn column_at(
     if rms > 0.3 {
         return None;
     }
-    // Neighbouring phases share most of their pixels: count one in so many as independent.
+    // Phases within a period share most of their pixels: one pixel per period counts as independent.
     let independent = rows.len() as f64 / pair.period_px.max(1.0) as f64;
     let sigma = rms.max(0.005) / independent.sqrt() * pair.pattern.period_px / TAU;
-    Some((pair.pattern.column(fit[0]), sigma, 2 * told > rows.len()))
+    Some((pair.pattern.column(fit[0]), sigma, 2 * marked > rows.len()))
 }
 
 /// Points of the white field, as far from the circles as can be: between two and between four of them; with the numbers

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Do the cameras stand where the rig file says? Two cameras whose cables or files were exchanged see the board where
-//! it is not; an adjustment would follow them, and all numbers would look good.
+//! Checks that the cameras stand where the rig file has them. Two cameras whose cables or files were exchanged see the
+//! board where it is not. An adjustment would follow them, and all numbers would look good.
 
 use super::board::Board;
-use super::positions::Position;
-use super::stages::StageError;
+use super::estimate::median;
+use super::observed::Position;
+use super::rigging::StageError;
 use super::start::board_pose;
-use super::views::median;
 use crate::data::Calibration;
 use nalgebra::{Isometry3, Point3};
 
@@ -36,18 +36,27 @@ pub fn check_placement(
     let Some((worst, [a, b])) = scene.worst(&order).filter(|(worst, _)| *worst > AGREE_M) else {
         return Ok(());
     };
-    let name = |c: usize| cameras[c].id.to_string();
+    let name = |c: usize| &cameras[c].id;
     for i in 0..order.len() {
         for k in i + 1..order.len() {
             let mut swapped = order.clone();
             swapped.swap(i, k);
             let involved = [a, b].iter().any(|c| [i, k].contains(c));
             if involved && scene.worst(&swapped).is_some_and(|(left, _)| left <= AGREE_M) {
-                return Err(StageError::Swapped { cameras: [name(i), name(k)] });
+                return Err(StageError::Refused(format!(
+                    "cameras {} and {} are swapped: each sees the board where the other one should. Exchange their cables, addresses or directories",
+                    name(i),
+                    name(k)
+                )));
             }
         }
     }
-    Err(StageError::Misplaced { cameras: [name(a), name(b)], millimetres: (worst * 1e3) as u32 })
+    Err(StageError::Refused(format!(
+        "cameras {} and {} see the board {} mm apart with the geometry of the rig file, expected at most 250. Correct the rig file, or find the camera that is not where the file has it",
+        name(a),
+        name(b),
+        (worst * 1e3) as u32
+    )))
 }
 
 struct Scene<'a> {
@@ -55,16 +64,16 @@ struct Scene<'a> {
     seen: Vec<Vec<Option<Isometry3<f64>>>>,
     /// By camera, `world_from_camera` of the rig file.
     places: Vec<Isometry3<f64>>,
-    /// By camera, its head.
+    /// By camera, the name of its head.
     heads: Vec<&'a str>,
     corners: [Point3<f64>; 4],
 }
 
 impl Scene<'_> {
-    /// The pair of cameras that disagree most, when the images of camera c were taken at `places[order[c]]`: distance of
-    /// the board's corners, m. Within a head the median over their common positions; between heads the least: heads
-    /// may have been calibrated one by one, each with its own board under the same trigger, and only some
-    /// positions are common to them.
+    /// The pair of cameras that disagree most, when the images of camera c were taken at `places[order[c]]`: distance
+    /// of the board's corners, m. Within a head the median over their common positions; between heads the least: heads
+    /// may have been calibrated one by one, each with its own board under the same trigger, and only some positions are
+    /// common to them.
     fn worst(&self, order: &[usize]) -> Option<(f64, [usize; 2])> {
         let mut worst: Option<(f64, [usize; 2])> = None;
         for a in 0..order.len() {

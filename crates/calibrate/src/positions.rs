@@ -3,13 +3,14 @@
 //! same circles at the same places. Which white frame that is, is decided by the circles, not by the order alone.
 
 use super::board::Board;
-use super::findings::{Finding, Kind};
+use super::findings::{Finding, Kind, Refusal};
 use super::gamma::light_samples;
 use super::lattice::Sighting;
 use super::marker_check::marker_is_there;
+use super::observed::{DARK, Looked, Phase, Position, View};
 use super::rows::ridge;
 use super::start::board_pose;
-use super::views::{DARK, Looked, Phase, Refusal, View};
+
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::Plane;
 use crate::data::Calibration;
@@ -19,17 +20,6 @@ use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use nalgebra::Point3;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
-
-/// The board at one place: a white frame, and the frame with fringes that belongs to it.
-#[derive(Debug, Clone)]
-pub struct Position {
-    /// The white frames' trigger.
-    pub white: TriggerIndex,
-    /// The fringe frames' trigger.
-    pub fringes: Option<TriggerIndex>,
-    /// By camera, in the calibration's order.
-    pub views: Vec<Option<View>>,
-}
 
 /// Share of the circles that must be dark in the frame with fringes, where they were in the white one.
 const SAME_PLACE: f64 = 0.5;
@@ -68,8 +58,8 @@ pub fn arrange(
                 let Ok(place) = whites.binary_search(&trigger) else { continue };
                 match view {
                     Ok(view) => positions[place].views[camera] = Some(view),
-                    Err(refusal) => {
-                        findings.push(refused(&ids[camera], trigger, Some(place + 1), refusal));
+                    Err(Refusal { kind, message }) => {
+                        findings.push(Finding::left_out(&ids[camera], trigger, Some(place), kind, message));
                     }
                 }
             }
@@ -83,9 +73,9 @@ pub fn arrange(
         findings.extend(pair_up(&mut positions, board, &nominal.pattern, of, &image, phase));
     }
     // One line for each view, however many dark frames there are.
-    let mut told = BTreeSet::new();
+    let mut named = BTreeSet::new();
     let dark = dark.into_iter().filter_map(|(t, camera)| dark_fringes(&positions, &ids[camera], camera, t));
-    findings.extend(dark.filter(|found| told.insert((found.camera.clone(), found.position))));
+    findings.extend(dark.filter(|found| named.insert((found.camera.clone(), found.position))));
     let views = positions.iter_mut().flat_map(|p| &mut p.views).flatten();
     views.for_each(|view| view.white = None);
     findings.sort_by_key(|f| (f.trigger.is_none(), f.trigger));
@@ -101,21 +91,8 @@ fn dark_fringes(
 ) -> Option<Finding> {
     let place = positions.partition_point(|p| p.white < trigger).checked_sub(1)?;
     let lacks = positions[place].views[camera].as_ref().is_some_and(|view| view.phase.is_none());
-    lacks.then(|| {
-        let message = "nothing is lit in the fringes, but the board in the white frame: expose longer, or look after the projector";
-        refused(id, trigger, Some(place + 1), Refusal { kind: Kind::TooDark, message: message.to_owned() })
-    })
-}
-
-fn refused(camera: &CameraId, trigger: TriggerIndex, position: Option<usize>, refusal: Refusal) -> Finding {
-    Finding {
-        camera: camera.clone(),
-        trigger: Some(trigger),
-        position,
-        kind: refusal.kind,
-        left_out: true,
-        message: refusal.message,
-    }
+    let message = "the frame with fringes is dark, but the white frame shows the board. Expose longer, or check the projector";
+    lacks.then(|| Finding::left_out(id, trigger, Some(place), Kind::TooDark, message))
 }
 
 /// One line for every camera that lacks frames.
@@ -160,7 +137,7 @@ impl Confirmed {
 }
 
 /// Looks for the circles of a view in a frame with fringes. A circle is there when it is dark all over while its
-/// surroundings are lit: elsewhere, some of so many samples would lie on bright fringes.
+/// surroundings are lit: elsewhere, some of the samples would lie on bright fringes.
 fn confirm(view: &View, image: &Plane<u8>, board: &Board) -> Confirmed {
     let mut confirmed = Confirmed { circles: vec![false; board.circles().len()], dark: 0, lit: 0 };
     for sighting in &view.sightings {
@@ -212,14 +189,7 @@ fn pair_up(
     phase: Result<Phase, Refusal>,
 ) -> Vec<Finding> {
     let after = positions.partition_point(|p| p.white < trigger);
-    let finding = |place: Option<usize>, kind, left_out, message: String| Finding {
-        camera: id.clone(),
-        trigger: Some(trigger),
-        position: place.map(|p| p + 1),
-        kind,
-        left_out,
-        message,
-    };
+    let finding = |place, kind, message: &str| Finding::left_out(id, trigger, place, kind, message);
     let judge = |place: Option<usize>| {
         let place = place.filter(|p| *p < positions.len())?;
         let view = positions[place].views[camera].as_ref()?;
@@ -231,32 +201,28 @@ fn pair_up(
     let seen = seen.map(|(place, c)| (*place, c.dark, c.lit));
     let found = [first, second].into_iter().flatten().find(|(_, confirmed)| confirmed.is_same_place());
     let Some((place, confirmed)) = found else {
-        let (place, kind, message) = match seen {
-            Some((place, _, lit)) if lit < LEAST_TO_JUDGE => (
-                Some(place),
-                Kind::TooDark,
-                format!(
+        return vec![match seen {
+            Some((place, _, lit)) if lit < LEAST_TO_JUDGE => {
+                let message = format!(
                     "only {lit} circles of the white frame are lit by the fringes, expected at least {LEAST_TO_JUDGE}: too dark, or the projector does not reach the board there. Expose longer"
-                ),
-            ),
-            Some((place, dark, lit)) => (
-                Some(place),
-                Kind::Moved,
-                format!(
+                );
+                finding(Some(place), Kind::TooDark, &message)
+            }
+            Some((place, dark, lit)) => {
+                let message = format!(
                     "only {dark} of {lit} circles of the white frame are at the same place in the fringes: the board moved between the two, or something stands before it. Hold it still, white first, then fringes"
-                ),
-            ),
-            None => (
-                after.checked_sub(1),
-                Kind::Unpaired,
-                "fringes without a usable white frame of the same position".to_owned(),
-            ),
-        };
-        return vec![finding(place, kind, true, message)];
+                );
+                finding(Some(place), Kind::Moved, &message)
+            }
+            None => {
+                let message = "fringes without a usable white frame of the same position";
+                finding(after.checked_sub(1), Kind::Unpaired, message)
+            }
+        }];
     };
     let mut phase = match phase {
         Ok(phase) => phase,
-        Err(refusal) => return vec![refused(id, trigger, Some(place + 1), refusal)],
+        Err(Refusal { kind, message }) => return vec![finding(Some(place), kind, &message)],
     };
     let position = &mut positions[place];
     let swapped = position.white > trigger;
@@ -278,24 +244,20 @@ fn pair_up(
     view.phase = Some(phase);
     view.confirmed = confirmed.circles;
     position.fringes = Some(trigger);
-    let used = |kind, message: String| finding(Some(place), kind, false, message);
+    let used = |kind, message: &str| finding(Some(place), kind, message).used();
     let mut findings = Vec::new();
     if swapped {
-        findings.push(used(
-            Kind::OrderSwapped,
-            "the fringes came before the white frame of their position, expected white first; paired by the circles".to_owned(),
-        ));
+        let message = "the fringes came before the white frame of their position, expected white first; paired by the circles";
+        findings.push(used(Kind::OrderSwapped, message));
     }
     if has_holes {
         let message = format!(
             "only {dark} of {lit} circles of the white frame are seen in the fringes: is something in front of the board?"
         );
-        findings.push(used(Kind::Hidden, message));
+        findings.push(used(Kind::Hidden, &message));
     } else if !marker {
-        findings.push(used(
-            Kind::NoMarker,
-            "no marker in the fringes: the board gives their order. Is it the rig's pattern (`fourdbody pattern`), and does the marker fall on the board?".to_owned(),
-        ));
+        let message = "no marker in the fringes: the board gives their order. Is it the rig's pattern (`fourdbody pattern`), and does the marker fall on the board?";
+        findings.push(used(Kind::NoMarker, message));
     }
     findings
 }
@@ -311,17 +273,13 @@ fn hidden(positions: &[Position], nominal: &Calibration, board: &Board) -> Vec<F
                 view.sightings.iter().filter(|s| expected.get(s.circle).is_some_and(|is| *is)).count();
             let all = expected.iter().filter(|is| **is).count();
             if (found as f64) < SEEN * all as f64 {
-                findings.push(Finding {
-                    camera: camera.id.clone(),
-                    trigger: Some(position.white),
-                    position: Some(place + 1),
-                    kind: Kind::Hidden,
-                    left_out: false,
-                    message: format!(
-                        "{} of {all} circles that lie in image and light are not seen: is something in front of the board?",
-                        all - found
-                    ),
-                });
+                let message = format!(
+                    "{} of {all} circles that lie in image and light are not seen: is something in front of the board?",
+                    all - found
+                );
+                let hidden =
+                    Finding::left_out(&camera.id, position.white, Some(place), Kind::Hidden, message);
+                findings.push(hidden.used());
             }
         }
     }

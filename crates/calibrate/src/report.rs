@@ -4,16 +4,19 @@
 
 use super::advice::{CELLS, advice, coverage};
 use super::bundle::Observation;
-use super::run::Outcome;
+use super::run::{Outcome, with_first_device};
+use crate::base::print::html;
+use crate::data::CalibratedHead;
 use crate::geometry::Device;
+use nalgebra::Point3;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Residual vectors are drawn so many times longer than they are.
+/// Factor by which residual vectors are drawn longer than they are.
 const MAGNIFIED: f64 = 400.0;
-/// At most so many phases are drawn per projector.
+/// Most phases that are drawn per projector: more would only make the page larger.
 const MOST_PHASES: usize = 4000;
-/// Colours of positions, repeated.
+/// Colours of positions of the board; they repeat after ten.
 pub(super) const COLOURS: [&str; 10] = [
     "#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f", "#bcbd22",
     "#17becf",
@@ -30,15 +33,15 @@ pub fn write(outcome: &Outcome, directory: &Path) -> std::io::Result<PathBuf> {
     Ok(path)
 }
 
-/// The whole page.
+/// The report of a calibration as one HTML page.
 pub fn page(outcome: &Outcome) -> String {
     let calibration = &outcome.calibration;
     let mut out = format!(
         "<!DOCTYPE html><html lang=\"en\"><meta charset=\"utf-8\"><title>Calibration of {rig}</title><style>{STYLE}</style>\
          <h1>Calibration of {rig}</h1><p>{}; {} positions of the board.</p>",
-        escape(&calibration.origin),
+        html(&calibration.origin),
         outcome.positions.len(),
-        rig = escape(&calibration.rig)
+        rig = html(&calibration.rig)
     );
     list(&mut out, "What to do better", "Nothing: all is as it should be.", advice(outcome).into_iter());
     list(
@@ -48,16 +51,13 @@ pub fn page(outcome: &Outcome) -> String {
         outcome.findings.iter().map(ToString::to_string),
     );
     summary(&mut out, outcome);
-    let mut device = 0;
-    for head in &calibration.heads {
-        let _ = write!(out, "<h2>Head {}</h2>", escape(head.id.as_str()));
-        for camera in &head.cameras {
+    for (head, first) in with_first_device(&calibration.heads) {
+        let _ = write!(out, "<h2>Head {}</h2>", html(head.id.as_str()));
+        for (device, camera) in (first..).zip(&head.cameras) {
             camera_plot(&mut out, outcome, device, camera.id.as_str(), &camera.device);
-            device += 1;
         }
-        projector_plot(&mut out, outcome, device, &head.projector);
-        positions_table(&mut out, outcome, device, head);
-        device += 1;
+        projector_plot(&mut out, outcome, first + head.cameras.len(), &head.projector);
+        positions_table(&mut out, outcome, first, head);
     }
     volume_plot(&mut out, outcome);
     uncertainties(&mut out, outcome);
@@ -65,51 +65,53 @@ pub fn page(outcome: &Outcome) -> String {
     out
 }
 
-pub(super) fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
 fn list(out: &mut String, title: &str, none: &str, items: impl Iterator<Item = String>) {
-    let items: String = items.map(|item| format!("<li>{}</li>", escape(&item))).collect();
+    let items: String = items.map(|item| format!("<li>{}</li>", html(&item))).collect();
     let body = if items.is_empty() { format!("<p>{none}</p>") } else { format!("<ul>{items}</ul>") };
     let _ = write!(out, "<h2>{title}</h2>{body}");
 }
 
+/// A table with a line of headings.
+fn table<'a>(
+    out: &mut String,
+    headings: impl IntoIterator<Item = &'a str>,
+    rows: impl Iterator<Item = Vec<String>>,
+) {
+    let cells = |tag: &str, texts: &mut dyn Iterator<Item = &str>| -> String {
+        let cells: String = texts.map(|text| format!("<{tag}>{text}</{tag}>")).collect();
+        format!("<tr>{cells}</tr>")
+    };
+    out.push_str("<table>");
+    out.push_str(&cells("th", &mut headings.into_iter()));
+    rows.for_each(|row| out.push_str(&cells("td", &mut row.iter().map(String::as_str))));
+    out.push_str("</table>");
+}
+
 fn summary(out: &mut String, outcome: &Outcome) {
     let Some(quality) = &outcome.calibration.quality else { return };
-    out.push_str("<h2>How well it fits</h2><table><tr><th>camera</th><th>positions</th><th>circles</th><th>rms px</th></tr>");
-    for c in &quality.cameras {
-        let _ = write!(
-            out,
-            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{:.4}</td></tr>",
-            escape(c.camera.as_str()),
-            c.positions,
-            c.circles,
-            c.circles_rms_px
-        );
-    }
-    out.push_str("</table><p></p><table><tr><th>projector of</th><th>rms panel px</th><th>gamma</th><th>2nd, 3rd harmonic</th></tr>");
-    for (head, rms) in &quality.projector_rms_px {
+    out.push_str("<h2>How well it fits</h2>");
+    let cameras = quality.cameras.iter().map(|c| {
+        let rms = format!("{:.4}", c.circles_rms_px);
+        vec![html(c.camera.as_str()), c.positions.to_string(), c.circles.to_string(), rms]
+    });
+    table(out, ["camera", "positions", "circles", "rms px"], cameras);
+    out.push_str("<p></p>");
+    let projectors = quality.projector_rms_px.iter().map(|(head, rms)| {
         let response = quality.responses.iter().find(|(id, _)| id == head).map(|(_, r)| r);
         let gamma = response.map_or("?".to_owned(), |r| format!("{:.3} &plusmn; {:.3}", r.gamma, r.sigma));
         let harmonics = response.map_or("?".to_owned(), |r| {
             format!("{:.2} %, {:.2} %", 100.0 * r.second_harmonic, 100.0 * r.third_harmonic)
         });
-        let head = escape(head.as_str());
-        let _ = write!(out, "<tr><td>{head}</td><td>{rms:.4}</td><td>{gamma}</td><td>{harmonics}</td></tr>");
-    }
-    out.push_str("</table>");
+        vec![html(head.as_str()), format!("{rms:.4}"), gamma, harmonics]
+    });
+    table(out, ["projector of", "rms panel px", "gamma", "2nd, 3rd harmonic"], projectors);
     if !quality.links.is_empty() {
-        out.push_str("<p></p><table><tr><th>heads</th><th>common positions</th><th>rms mm</th></tr>");
-        for link in &quality.links {
+        out.push_str("<p></p>");
+        let links = quality.links.iter().map(|link| {
             let [a, b] = link.heads;
-            let _ = write!(
-                out,
-                "<tr><td>{a} and {b}</td><td>{}</td><td>{:.3}</td></tr>",
-                link.positions, link.rms_mm
-            );
-        }
-        out.push_str("</table>");
+            vec![format!("{a} and {b}"), link.positions.to_string(), format!("{:.3}", link.rms_mm)]
+        });
+        table(out, ["heads", "common positions", "rms mm"], links);
     }
     let around = quality
         .loop_error_mm
@@ -131,7 +133,7 @@ fn camera_plot(out: &mut String, outcome: &Outcome, device: usize, name: &str, c
         out,
         "<figure><figcaption>{}: circles of all positions (a colour each), residuals {MAGNIFIED:.0} times as long; grey: covered</figcaption>\
          <svg width=\"520\" viewBox=\"0 0 {w} {h}\">",
-        escape(name)
+        html(name)
     );
     let cells = coverage(outcome, device, (camera.width, camera.height));
     let (cw, ch) = (w / CELLS[0] as f64, h / CELLS[1] as f64);
@@ -185,13 +187,8 @@ fn projector_plot(out: &mut String, outcome: &Outcome, device: usize, projector:
 }
 
 /// RMS by position and device; far worse than the device's others is marked.
-fn positions_table(
-    out: &mut String,
-    outcome: &Outcome,
-    projector: usize,
-    head: &crate::data::CalibratedHead,
-) {
-    let first = projector - head.cameras.len();
+fn positions_table(out: &mut String, outcome: &Outcome, first: usize, head: &CalibratedHead) {
+    let projector = first + head.cameras.len();
     let boards = outcome.together.all.model.boards.len();
     let rms = |device: usize, board: Option<usize>| {
         let mine =
@@ -203,7 +200,7 @@ fn positions_table(
     };
     out.push_str("<table><tr><th>board</th>");
     head.cameras.iter().for_each(|c| {
-        let _ = write!(out, "<th>{} px</th>", escape(c.id.as_str()));
+        let _ = write!(out, "<th>{} px</th>", html(c.id.as_str()));
     });
     out.push_str("<th>projector panel px</th></tr>");
     let usual: Vec<Option<f64>> = (first..=projector).map(|device| rms(device, None)).collect();
@@ -235,13 +232,12 @@ fn positions_table(
 fn volume_plot(out: &mut String, outcome: &Outcome) {
     let calibration = &outcome.calibration;
     let Some(quality) = &calibration.quality else { return };
-    let corners = outcome.board_size_m.map(|s| s / 2.0);
-    let [x, y] = corners;
-    let outline = [[-x, -y], [x, -y], [x, y], [-x, y]].map(|[x, y]| nalgebra::Point3::new(x, y, 0.0));
+    let [x, y] = outcome.board_size_m.map(|s| s / 2.0);
+    let outline = [[-x, -y], [x, -y], [x, y], [-x, y]].map(|[x, y]| Point3::new(x, y, 0.0));
     let _ = write!(
         out,
         "<h2>Coverage of the volume</h2><p>Board {}; dashed: the rig's volume; filled: valid for at least one head.</p>",
-        escape(&quality.board)
+        html(&quality.board)
     );
     for (title, axes) in
         [("from above: x to the right, y up", [0, 1]), ("from the side: x to the right, z up", [0, 2])]
@@ -293,23 +289,17 @@ fn volume_plot(out: &mut String, outcome: &Outcome) {
 fn uncertainties(out: &mut String, outcome: &Outcome) {
     let Some(quality) = &outcome.calibration.quality else { return };
     let names = super::bundle::DEVICE_PARAMETER_NAMES;
-    out.push_str("<h2>Standard deviations</h2><p>Lens: px; turns: mrad; shifts: mm; 0: held. Poses are relative to the first camera.</p><table><tr><th>device</th>");
-    names.iter().for_each(|name| {
-        let _ = write!(out, "<th>{name}</th>");
-    });
-    out.push_str("</tr>");
-    for device in &quality.uncertainties {
-        let _ = write!(out, "<tr><td>{}</td>", escape(&device.device));
-        for (i, name) in names.iter().enumerate() {
+    out.push_str("<h2>Standard deviations</h2><p>Lens: px; turns: mrad; shifts: mm; 0: held. Poses are relative to the first camera.</p>");
+    let rows = quality.uncertainties.iter().map(|device| {
+        let sigma = |(i, name): (usize, &&str)| {
             let sigma = device.sigma.get(*name).copied().unwrap_or(0.0);
-            let text = match i {
+            match i {
                 4..=8 => format!("{sigma:.1e}"),
                 9.. => format!("{:.3}", sigma * 1e3),
                 _ => format!("{sigma:.3}"),
-            };
-            let _ = write!(out, "<td>{text}</td>");
-        }
-        out.push_str("</tr>");
-    }
-    out.push_str("</table>");
+            }
+        };
+        std::iter::once(html(&device.device)).chain(names.iter().enumerate().map(sigma)).collect()
+    });
+    table(out, std::iter::once("device").chain(names), rows);
 }

@@ -1,22 +1,22 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which rows of the panel the projector's rows are.
+//! Where the panel's rows are.
 //!
-//! Fringes say on which column of the panel a point lies, and a projector that is adjusted to columns alone has its rows where
-//! the rig file had them: its place along its rows, and focal length and principal point along them, are in no column. No
-//! point of a cloud depends on it. But the marker's dashes do lie on rows, and tell them modulo their period: what the
-//! geometry's row `v` at distance `z` has too much is, to first order in all three,
+//! Fringes give the panel's column of a point only. A projector that is adjusted to columns keeps its rows where the
+//! rig file had them: no column depends on its place along its rows, or on focal length and principal point along them.
+//! No point of a cloud depends on these either. But the marker's dashes lie on rows, and give them modulo the dashes'
+//! period. The geometry's row `v` at distance `z` is too large, to first order in all three, by
 //!
 //! ```text
 //! a + b v + c / z
 //! ```
 //!
-//! It is fitted to the dashes on the board, in stretches of two (`reconstruct::marker::epipolar_check`), as a correction that is kept beside the
-//! geometry. With it a photograph's own dashes tell whose calibration it is.
+//! It is fitted to the dashes on the board, in stretches of two (`reconstruct::marker::epipolar_check`), as a
+//! correction that is kept beside the geometry. With it the dashes of a photograph show whether it belongs to the
+//! calibration.
 
 use super::marker_check::ridges;
-use super::positions::Position;
-use super::stages::HeadResult;
-use super::views::View;
+use super::observed::{Position, RidgePixel, View};
+use super::rigging::HeadResult;
 use crate::base::image::Plane;
 use crate::data::{Calibration, PanelRows};
 use crate::reconstruct::marker::epipolar_check::{Crossing, Stretch, stretches_of};
@@ -28,25 +28,19 @@ use std::f64::consts::TAU;
 /// Fewest stretches that three numbers are taken from.
 const LEAST_STRETCHES: usize = 30;
 
-/// Share of the stretches that must agree with them, to within this much, px of the panel.
+/// Share of the stretches that must agree with the three numbers.
 const LEAST_AGREEING: f64 = 0.8;
+/// A stretch agrees when its rows are within this, px of the panel.
 const AGREE_PX: f64 = 0.5;
 
-/// What is tried for the second and the third number: so many steps to each side, and how large they are, px per panel height and
-/// px m. A step moves a row of the shipped panel by 2 px at most, a quarter of the dashes' period.
+/// Values tried for `b`: steps to each side, and their size, px per panel height. A step moves a row by 2 px at most, a
+/// quarter of the dashes' period.
 const SCALES: (i32, f64) = (6, 2.0);
+/// Values tried for `c`: steps to each side, and their size, px m. A step moves a row by 2 px at most, too.
 const NEARNESSES: (i32, f64) = (8, 4.0);
 
 /// Rounds in which the fit leaves out what it does not explain.
 const ROUNDS: usize = 5;
-
-/// A pixel on a marker's ridge, and its light over one period of the fringes, DN.
-#[derive(Debug, Clone, Copy)]
-pub struct RidgePixel {
-    u: usize,
-    v: usize,
-    light: f64,
-}
 
 /// The ridges of the markers on the board, between its circles, from row to row.
 pub(super) fn ridge(
@@ -68,17 +62,17 @@ pub(super) fn ridge(
     ridge
 }
 
-/// Where the geometry has dashes, and how far behind they are.
+/// One stretch of dashes: where the geometry has it, and how far off that is.
 #[derive(Debug, Clone, Copy)]
 struct Seen {
-    /// 1, the geometry's row, and one over the distance.
+    /// The terms of a, b and c: 1, the geometry's row, and 1 / distance.
     terms: Vector3<f64>,
-    /// px, modulo the dashes' period.
+    /// How much too large the geometry's row is, px, modulo the dashes' period.
     excess: f64,
 }
 
-/// Finds the panel's rows of the heads of `result`, which came of `heads`. Those whose dashes do not
-/// tell them keep none.
+/// Finds the panel's rows of the heads of `result`, which were adjusted as `heads`. A head whose dashes do not agree on
+/// them keeps none.
 pub(super) fn find_rows(
     result: &mut Calibration,
     nominal: &Calibration,
@@ -132,7 +126,7 @@ fn fit(seen: &[Seen], period: f64, height: usize) -> Option<PanelRows> {
     if seen.len() < LEAST_STRETCHES {
         return None;
     }
-    // The excess is known modulo the period: what is tried is right when all have one phase after it.
+    // The excess is known modulo the period. A trial is right when it leaves all stretches with one phase.
     let steps = |(n, step): (i32, f64)| (-n..=n).map(move |i| f64::from(i) * step);
     let mut best = (0.0, Vector3::zeros());
     for scale in steps(SCALES).map(|x| x / height.max(1) as f64) {
@@ -154,8 +148,8 @@ fn fit(seen: &[Seen], period: f64, height: usize) -> Option<PanelRows> {
         let left = x.excess - x.terms.dot(excess);
         left - period * (left / period).round()
     };
-    // Loosely known (20 px over the panel, 30 px m, against 0.1 px a stretch): where the board was at one distance only, numbers
-    // must not run away.
+    // Loosely known (20 px over the panel, 30 px m, against 0.1 px a stretch): where the board was at one distance
+    // only, numbers must not run away.
     let prior =
         Matrix3::from_diagonal(&Vector3::new(1e-6, (height as f64 / 20.0).powi(2), 1.0 / 900.0)) * 0.01;
     for round in 0..ROUNDS {

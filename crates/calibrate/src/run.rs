@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A whole calibration: looks through the photographs, runs the three stages, and says how well it went.
+//! A whole calibration: judges the photographs, runs the three stages, and reports how well it went.
 
 use super::advice::advice;
 use super::board::Board;
@@ -7,22 +7,21 @@ use super::bundle::{Adjusted, DEVICE_PARAMETER_NAMES, Observation};
 use super::findings::Finding;
 use super::gamma::response;
 use super::global::{Together, bring_together, calibration};
+use super::observed::Position;
 use super::placement::check_placement;
-use super::positions::Position;
+use super::rigging::{HeadResult, Rigging, StageError};
 use super::rows::find_rows;
-use super::stages::{HeadResult, Rigging, StageError, Terms};
 use super::views::look;
 use super::world::Vertical;
 use crate::base::ids::{CameraId, HeadId};
 use crate::data::{
-    CONVENTIONS, Calibration, CameraResiduals, DeviceUncertainty, Extent, FrameSource, HeadLink, HeadVolume,
-    Identity, Quality, Response, ValidVolume, World,
+    CONVENTIONS, CalibratedHead, Calibration, CameraResiduals, DeviceUncertainty, Extent, FrameSource,
+    HeadLink, HeadVolume, Identity, Quality, Response, ValidVolume, World,
 };
 
-/// A calibration and how it came to be.
+/// A calibration and how it came to be: `calibrate` makes it, and the command prints, reports and drops it.
 #[derive(Debug)]
 pub struct Outcome {
-    /// The result.
     pub calibration: Calibration,
     /// What was left out, and why.
     pub findings: Vec<Finding>,
@@ -30,7 +29,7 @@ pub struct Outcome {
     pub positions: Vec<Position>,
     /// Stages 1 and 2, per head.
     pub heads: Vec<HeadResult>,
-    /// Stage 3.
+    /// Stage 3: all heads in one frame.
     pub together: Together,
     /// Outer size of the board (x, y), m.
     pub board_size_m: [f64; 2],
@@ -44,26 +43,19 @@ pub enum CalibrateError {
     Source(String),
     /// A stage failed; with everything that was left out before.
     #[error("{error}{}", list(.findings))]
-    Stage {
-        /// What failed.
-        error: StageError,
-        /// What was left out.
-        findings: Vec<Finding>,
-    },
+    Stage { error: StageError, findings: Vec<Finding> },
 }
 
 fn list(findings: &[Finding]) -> String {
     findings.iter().map(|finding| format!("\n  {finding}")).collect()
 }
 
-/// What is asked of a calibration beside the photographs.
+/// What the operator chooses for a calibration, beside the photographs.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// The lens models.
-    pub terms: Terms,
     /// Leave out heads without photographs instead of refusing.
     pub partial: bool,
-    /// Positions of the board that say what is vertical.
+    /// Positions of the board in which it stood upright or lay level: they define the vertical.
     pub verticals: Vec<Vertical>,
 }
 
@@ -88,7 +80,7 @@ pub fn calibrate(
     Ok(outcome)
 }
 
-/// Calibrates from positions that were looked at already.
+/// Calibrates from positions that `views::look` has found.
 pub fn solve(
     positions: Vec<Position>,
     mut findings: Vec<Finding>,
@@ -96,7 +88,7 @@ pub fn solve(
     board: &Board,
     options: &Options,
 ) -> Result<Outcome, CalibrateError> {
-    let all = Rigging { nominal, board, positions: &positions, terms: options.terms };
+    let all = Rigging { nominal, board, positions: &positions };
     let stage = |error, findings| CalibrateError::Stage { error, findings };
     if let Err(error) = check_placement(nominal, board, &positions) {
         return Err(stage(error, findings));
@@ -141,7 +133,7 @@ pub fn solve(
     Ok(Outcome { calibration: result, findings, positions, heads, together, board_size_m: board.size_m })
 }
 
-/// What the projectors make of panel values, by head.
+/// The measured response of each head's projector to panel values.
 fn responses(nominal: &Calibration, positions: &[Position], used: &[usize]) -> Vec<(HeadId, Response)> {
     let of_head = |&place: &usize| {
         let cameras = nominal.cameras_of(place);
@@ -152,55 +144,49 @@ fn responses(nominal: &Calibration, positions: &[Position], used: &[usize]) -> V
     used.iter().filter_map(of_head).collect()
 }
 
+/// The heads of a calibration, each with the number of its first device in the adjustment: cameras, then the projector.
+pub(super) fn with_first_device(heads: &[CalibratedHead]) -> impl Iterator<Item = (&CalibratedHead, usize)> {
+    heads.iter().scan(0, |next, head| {
+        let first = *next;
+        *next += head.cameras.len() + 1;
+        Some((head, first))
+    })
+}
+
 /// Boxes around the points whose phase each head measured.
 fn volumes(kept: &Calibration, together: &Together) -> Vec<HeadVolume> {
-    let mut projector = 0;
-    let mut volumes = Vec::new();
-    for head in &kept.heads {
-        projector += head.cameras.len();
+    let volume = |(head, first): (&CalibratedHead, usize)| {
+        let projector = first + head.cameras.len();
         let seen = together.observations.iter().zip(&together.all.outliers);
         let points = seen.filter(|(o, out)| o.device == projector && !**out).map(|(o, _)| {
             let point = together.all.model.boards[o.board] * o.point;
             [point.x, point.y, point.z]
         });
-        volumes.extend(Extent::around(points).map(|extent| HeadVolume { head: head.id.clone(), extent }));
-        projector += 1;
-    }
-    volumes
-}
-
-fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, n) = values.fold((0.0, 0.0), |(sum, n), x| (sum + x * x, n + 1.0));
-    (n > 0.0).then(|| (sum / n).sqrt())
+        Extent::around(points).map(|extent| HeadVolume { head: head.id.clone(), extent })
+    };
+    with_first_device(&kept.heads).filter_map(volume).collect()
 }
 
 fn quality(kept: &Calibration, board: &Board, together: &Together) -> Quality {
-    let mut device = 0;
-    let (mut cameras, mut uncertainties) = (Vec::new(), Vec::new());
-    for head in &kept.heads {
-        let projector = device + head.cameras.len();
-        for camera in &head.cameras {
+    let (mut cameras, mut projectors, mut uncertainties) = (Vec::new(), Vec::new(), Vec::new());
+    for (head, first) in with_first_device(&kept.heads) {
+        for (device, camera) in (first..).zip(&head.cameras) {
             cameras.push(CameraResiduals {
                 camera: camera.id.clone(),
                 positions: seen_positions(&together.observations, device),
                 circles: together.observations.iter().filter(|o| o.device == device).count(),
-                circles_rms_px: device_rms(&together.all, &together.observations, device).unwrap_or(0.0),
+                circles_rms_px: device_rms(together, device),
             });
             uncertainties.push(uncertainty(camera.id.to_string(), &together.all, device));
-            device += 1;
         }
+        let projector = first + head.cameras.len();
+        projectors.push((head.id.clone(), device_rms(together, projector)));
         uncertainties.push(uncertainty(format!("projector of {}", head.id), &together.all, projector));
-        device += 1;
     }
-    let mut device = 0;
-    let projectors = kept.heads.iter().map(|head| {
-        device += head.cameras.len() + 1;
-        (head.id.clone(), device_rms(&together.all, &together.observations, device - 1).unwrap_or(0.0))
-    });
     Quality {
         board: board.name.clone(),
         cameras,
-        projector_rms_px: projectors.collect(),
+        projector_rms_px: projectors,
         links: together
             .links
             .iter()
@@ -213,7 +199,8 @@ fn quality(kept: &Calibration, board: &Board, together: &Together) -> Quality {
     }
 }
 
-fn seen_positions(observations: &[Observation], device: usize) -> usize {
+/// In how many positions a device saw the board.
+pub(super) fn seen_positions(observations: &[Observation], device: usize) -> usize {
     let mut boards: Vec<usize> =
         observations.iter().filter(|o| o.device == device).map(|o| o.board).collect();
     boards.sort_unstable();
@@ -221,11 +208,14 @@ fn seen_positions(observations: &[Observation], device: usize) -> usize {
     boards.len()
 }
 
-/// RMS of a device's residuals per coordinate, px, without what was left out.
-fn device_rms(adjusted: &Adjusted, observations: &[Observation], device: usize) -> Option<f64> {
-    let kept = adjusted.residuals.iter().zip(observations).zip(&adjusted.outliers);
-    let mine = kept.filter(|((_, o), out)| o.device == device && !**out);
-    rms(mine.flat_map(|((r, o), _)| if o.columns_only { vec![r[0]] } else { r.to_vec() }))
+/// RMS of a device's residuals per coordinate, px, without what was left out; 0 of none.
+fn device_rms(together: &Together, device: usize) -> f64 {
+    let all = &together.all;
+    let kept = all.residuals.iter().zip(&together.observations).zip(&all.outliers);
+    let mine = kept.filter(|((_, o), out)| o.device == device && !**out).map(|(pair, _)| pair);
+    let coordinates = mine.flat_map(|(r, o)| r[..if o.columns_only { 1 } else { 2 }].iter());
+    let (sum, n) = coordinates.fold((0.0, 0.0), |(sum, n), x| (sum + x * x, n + 1.0));
+    if n > 0.0 { f64::sqrt(sum / n) } else { 0.0 }
 }
 
 fn uncertainty(device: String, adjusted: &Adjusted, number: usize) -> DeviceUncertainty {
@@ -234,36 +224,28 @@ fn uncertainty(device: String, adjusted: &Adjusted, number: usize) -> DeviceUnce
 }
 
 impl Outcome {
-    /// For people.
+    /// The result in lines that the command prints.
     pub fn lines(&self) -> Vec<String> {
         let mut lines = vec![format!("{} positions of the board", self.positions.len())];
         let Some(quality) = &self.calibration.quality else { return lines };
-        lines.extend(quality.cameras.iter().map(|c| {
-            format!(
-                "  {}: {} circles in {} positions, {:.4} px rms",
-                c.camera, c.circles, c.positions, c.circles_rms_px
-            )
-        }));
-        lines.extend(
-            quality
-                .projector_rms_px
-                .iter()
-                .map(|(head, rms)| format!("  projector of {head}: {rms:.4} panel px rms")),
-        );
+        lines.extend(quality.cameras.iter().map(
+            |CameraResiduals { camera, positions, circles, circles_rms_px }| {
+                format!("  {camera}: {circles} circles in {positions} positions, {circles_rms_px:.4} px rms")
+            },
+        ));
+        let projectors = quality.projector_rms_px.iter();
+        lines.extend(projectors.map(|(head, rms)| format!("  projector of {head}: {rms:.4} panel px rms")));
         lines.extend(self.calibration.heads.iter().map(|head| match head.rows {
             Some(rows) => {
                 format!("  rows of {}'s panel, by the marker's dashes: {:.4} px rms", head.id, rows.rms_px)
             }
             None => format!(
-                "  rows of {}'s panel: too few dashes agree to tell; no photograph will be judged by its own",
+                "  rows of {}'s panel: too few of the marker's dashes agree; no photograph will be checked by its dashes",
                 head.id
             ),
         }));
-        lines.extend(quality.links.iter().map(|link| {
-            format!(
-                "  heads {} and {}: {} common positions, {:.3} mm rms",
-                link.heads[0], link.heads[1], link.positions, link.rms_mm
-            )
+        lines.extend(quality.links.iter().map(|HeadLink { heads: [a, b], positions, rms_mm }| {
+            format!("  heads {a} and {b}: {positions} common positions, {rms_mm:.3} mm rms")
         }));
         lines.extend(quality.responses.iter().map(|(head, r)| {
             format!(

@@ -7,18 +7,19 @@
 //! front of the board has no complete outline and is left out.
 
 use super::ellipse::Ellipse;
+use super::estimate::median;
 use crate::base::image::{Mono8, Plane};
+use std::ops::RangeInclusive;
 
-/// A circle's image.
+/// The image of one black circle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spot {
-    /// Its outline.
     pub ellipse: Ellipse,
     /// RMS distance of the outline's points from the ellipse, px.
     pub rms_px: f64,
     /// Grey levels between inside and outside.
     pub contrast: f64,
-    /// Width of the edge from a quarter to three quarters of the contrast, px: what focus and motion make of it.
+    /// Width of the edge from a quarter to three quarters of the contrast, px: defocus and motion widen it.
     pub blur_px: f64,
     /// The lightest outside level, grey levels: 255 is saturated.
     pub outside: f64,
@@ -26,15 +27,15 @@ pub struct Spot {
 
 /// Side of the blocks in which the white level is looked for, px.
 const BLOCK: usize = 16;
-/// White is the lightest of so many blocks around.
+/// White is the lightest level within this many blocks to each side.
 const REACH: usize = 4;
 /// Darker than this share of the white around is dark.
 const DARK: f32 = 0.5;
 /// Regions smaller or larger than this are not circles, px.
-const AREA: std::ops::RangeInclusive<usize> = 40..=12_000;
+const AREA: RangeInclusive<usize> = 40..=12_000;
 /// Rays on which the outline is looked for.
 const RAYS: usize = 64;
-/// Least contrast, grey levels.
+/// Least contrast between a circle and the white around it, grey levels.
 const LEAST_CONTRAST: f64 = 12.0;
 /// Largest RMS distance of the outline from an ellipse, px.
 const LARGEST_RMS: f64 = 0.35;
@@ -42,79 +43,89 @@ const LARGEST_RMS: f64 = 0.35;
 /// All circles in an image, in no particular order.
 pub fn find_spots(image: Mono8<'_>) -> Vec<Spot> {
     let white = white_level(image);
-    regions(image, &white).iter().filter_map(|region| outline(image, region)).collect()
+    dark_ellipses(image, &white).iter().filter_map(|coarse| outline(image, coarse)).collect()
+}
+
+/// The lightest level of each square block of a picture, or 0.
+pub(super) fn lightest_of_blocks(
+    width: usize,
+    height: usize,
+    block: usize,
+    level: impl Fn(usize, usize) -> f32,
+) -> Plane<f32> {
+    let mut blocks = Plane::filled(width.div_ceil(block), height.div_ceil(block), 0.0f32);
+    for v in 0..height {
+        for u in 0..width {
+            let (column, row) = (u / block, v / block);
+            blocks.set(column, row, blocks.at(column, row).max(level(u, v)));
+        }
+    }
+    blocks
 }
 
 /// The white level around every block: 0 where it is dark all around.
 fn white_level(image: Mono8<'_>) -> Plane<f32> {
-    let (columns, rows) = (image.width().div_ceil(BLOCK), image.height().div_ceil(BLOCK));
-    let mut blocks = Plane::filled(columns, rows, 0.0f32);
-    for v in 0..image.height() {
-        for (u, pixel) in image.row(v).iter().enumerate() {
-            let level = f32::from(*pixel);
-            if level > blocks.at(u / BLOCK, v / BLOCK) {
-                blocks.set(u / BLOCK, v / BLOCK, level);
-            }
-        }
-    }
-    let mut white = Plane::filled(columns, rows, 0.0f32);
-    for row in 0..rows {
-        for column in 0..columns {
-            let (us, vs) = (
-                column.saturating_sub(REACH)..(column + REACH + 1).min(columns),
-                row.saturating_sub(REACH)..(row + REACH + 1).min(rows),
-            );
-            let level = vs
-                .flat_map(|v| us.clone().map(move |u| (u, v)))
-                .map(|(u, v)| blocks.at(u, v))
-                .fold(0.0, f32::max);
-            white.set(column, row, level);
-        }
-    }
-    white
+    let level = |u: usize, v: usize| f32::from(image.row(v)[u]);
+    let blocks = lightest_of_blocks(image.width(), image.height(), BLOCK, level);
+    let around = |at: usize, count: usize| at.saturating_sub(REACH)..(at + REACH + 1).min(count);
+    Plane::from_fn(blocks.width(), blocks.height(), |column, row| {
+        let (us, vs) = (around(column, blocks.width()), around(row, blocks.height()));
+        vs.flat_map(|v| us.clone().map(move |u| (u, v))).map(|(u, v)| blocks.at(u, v)).fold(0.0, f32::max)
+    })
 }
 
-/// The ellipses with the moments of the connected dark regions.
-fn regions(image: Mono8<'_>, white: &Plane<f32>) -> Vec<Ellipse> {
+/// A pixel and all around it, as steps along u and v.
+const AROUND: [[isize; 2]; 9] =
+    [[-1, -1], [0, -1], [1, -1], [-1, 0], [0, 0], [1, 0], [-1, 1], [0, 1], [1, 1]];
+
+/// The ellipses with the moments of the connected dark regions, of those that fill their ellipse.
+fn dark_ellipses(image: Mono8<'_>, white: &Plane<f32>) -> Vec<Ellipse> {
     let (width, height) = (image.width(), image.height());
-    let is_dark = |u: usize, v: usize| {
+    let dark = Plane::from_fn(width, height, |u, v| {
         let level = white.at(u / BLOCK, v / BLOCK);
         f64::from(level) > 2.0 * LEAST_CONTRAST && f32::from(image.row(v)[u]) < DARK * level
+    });
+    let ellipse = |region: &Vec<usize>| {
+        let pixels = region.iter().map(|p| [(p % width) as f64, (p / width) as f64]);
+        let (ellipse, filled) = Ellipse::of_region(pixels)?;
+        (0.85..1.15).contains(&filled).then_some(ellipse)
     };
-    let mut unseen: Vec<bool> =
-        (0..height).flat_map(|v| (0..width).map(move |u| (u, v))).map(|(u, v)| is_dark(u, v)).collect();
-    let (mut found, mut stack, mut pixels) = (Vec::new(), Vec::new(), Vec::new());
+    regions(dark, &AROUND, AREA).iter().filter_map(ellipse).collect()
+}
+
+/// The regions of set places that are connected by these steps along u and v, do not reach the rim and have an area in
+/// this range, px: each as its places, `v * width + u`.
+pub(super) fn regions(
+    mut set: Plane<bool>,
+    steps: &[[isize; 2]],
+    area: RangeInclusive<usize>,
+) -> Vec<Vec<usize>> {
+    let (width, height) = (set.width(), set.height());
+    let unseen = set.as_mut_slice();
+    let (mut found, mut stack) = (Vec::new(), Vec::new());
     for start in 0..unseen.len() {
         if !std::mem::take(&mut unseen[start]) {
             continue;
         }
         stack.push(start);
-        pixels.clear();
-        let mut at_border = false;
+        let (mut places, mut at_rim) = (Vec::new(), false);
         while let Some(place) = stack.pop() {
-            pixels.push(place);
+            places.push(place);
             let (u, v) = (place % width, place / width);
-            at_border |= u == 0 || v == 0 || u + 1 == width || v + 1 == height;
-            let (us, vs) =
-                (u.saturating_sub(1)..(u + 2).min(width), v.saturating_sub(1)..(v + 2).min(height));
-            for next in vs.flat_map(|v| us.clone().map(move |u| v * width + u)) {
-                if std::mem::take(&mut unseen[next]) {
-                    stack.push(next);
+            at_rim |= u == 0 || v == 0 || u + 1 == width || v + 1 == height;
+            for [du, dv] in steps {
+                // Steps below 0 wrap to places beyond the rim.
+                let (u, v) = (u.wrapping_add_signed(*du), v.wrapping_add_signed(*dv));
+                if u < width && v < height && std::mem::take(&mut unseen[v * width + u]) {
+                    stack.push(v * width + u);
                 }
             }
         }
-        if !at_border && AREA.contains(&pixels.len()) {
-            found.extend(region(&pixels, width));
+        if !at_rim && area.contains(&places.len()) {
+            found.push(places);
         }
     }
     found
-}
-
-/// `None` where the pixels do not fill the ellipse of their own moments.
-fn region(pixels: &[usize], width: usize) -> Option<Ellipse> {
-    let (ellipse, filled) =
-        Ellipse::of_region(pixels.iter().map(|p| [(p % width) as f64, (p / width) as f64]))?;
-    (0.85..1.15).contains(&filled).then_some(ellipse)
 }
 
 fn outline(image: Mono8<'_>, coarse: &Ellipse) -> Option<Spot> {
@@ -124,9 +135,7 @@ fn outline(image: Mono8<'_>, coarse: &Ellipse) -> Option<Spot> {
     }
     let points: Vec<[f64; 2]> = edges.iter().map(|edge| edge.point).collect();
     let first = Ellipse::fit(&points)?;
-    let mut distances: Vec<f64> = points.iter().map(|p| first.distance(*p).abs()).collect();
-    distances.sort_by(f64::total_cmp);
-    let gate = (4.0 * 1.4826 * distances[RAYS / 2]).max(0.05);
+    let gate = (4.0 * 1.4826 * median(points.iter().map(|p| first.distance(*p).abs()))).max(0.05);
     let kept: Vec<[f64; 2]> = points.into_iter().filter(|p| first.distance(*p).abs() <= gate).collect();
     if kept.len() * 4 < RAYS * 3 {
         return None;

@@ -1,264 +1,43 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Stages 1 and 2 of section 4.2: cameras of a head, then the phase of each camera-projector pair. [`super::global`] is the
-//! third.
+//! Stages 1 and 2 of section 4.2: cameras of a head, then the phase of each camera-projector pair. [`super::global`] is
+//! the third.
 //!
 //! 1. *Cameras*: circles seen by both cameras of a head, any number of positions of the board. Measured centres are
 //!    those of the outlines; the centre of a circle's image is not the image of its centre, so the difference under the
 //!    current estimate is taken off, and the adjustment repeated.
-//! 2. *Phase*: the absolute phase at points of the white field between the circles is the panel column that lights them:
-//!    the projector is adjusted like a camera that sees columns only, together with the cameras.
+//! 2. *Phase*: the absolute phase at points of the white field between the circles is the panel column that lights
+//!    them: the projector is adjusted like a camera that sees columns only, together with the cameras.
 //!
 //! Each kind of observation weighs as much as its own residuals justify: its standard deviation is theirs.
 
-use super::board::Board;
-use super::bundle::{AdjustError, Adjusted, DeviceModel, Model, Observation, Prior, adjust};
-use super::consistency::{Excluded, Limits};
+use super::bundle::{Adjusted, DeviceModel, Model, Observation, Prior, adjust};
 use super::ellipse::{Ellipse, image_of_circle};
-use super::findings::Finding;
-use super::orders::{LEAST_AGREEING, Misread};
-use super::positions::Position;
+use super::phases::{LEAST_PHASE_POINTS, LEAST_PHASES};
+use super::rigging::{Excluded, HeadResult, Rigging, StageError};
 use super::start::{board_pose, is_same_position};
-use super::world::WorldError;
-use crate::data::Calibration;
 use crate::geometry::Device;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use std::f64::consts::TAU;
 
-/// Standard deviation of a circle's centre, px, before the residuals say better.
+/// Standard deviation of a circle's centre at the start, px; afterwards it is that of the residuals.
 const CIRCLE_SIGMA_PX: f64 = 0.02;
-/// Fewest positions for a head: fewer leave lens and distance entangled.
-pub(super) const LEAST_POSITIONS: usize = 6;
 /// Fewest positions that each camera of a head must have seen itself.
 const LEAST_VIEWS: usize = 4;
-/// Fewest positions with a phase.
-pub(super) const LEAST_PHASES: usize = 4;
-/// Points with a phase below which a position, or a view, has none.
-pub(super) const LEAST_PHASE_POINTS: usize = 30;
 /// How often centres are corrected in stage 1.
 const CAMERA_ROUNDS: usize = 3;
 /// How often phases are sampled anew in stage 2.
 const PHASE_ROUNDS: usize = 2;
 
-/// Why a calibration came to nothing.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum StageError {
-    /// Too few usable positions.
-    #[error(
-        "head {head}: {found} usable positions of the board that differ, expected at least {LEAST_POSITIONS}. Photograph the board at more places and tilts"
-    )]
-    Positions {
-        /// The head.
-        head: String,
-        /// How many.
-        found: usize,
-    },
-    /// A camera has too few views of its own.
-    #[error(
-        "camera {camera}: usable views in {found} of {positions} positions of the board, expected at least {LEAST_VIEWS}. See what was left out of it"
-    )]
-    Views {
-        /// The camera.
-        camera: String,
-        /// In how many positions.
-        found: usize,
-        /// Positions that its head has.
-        positions: usize,
-    },
-    /// Too few positions with fringes.
-    #[error(
-        "head {head}: fringes give a phase in {found} positions of the board, expected at least {LEAST_PHASES}. After each white frame one with the rig's pattern is needed, the board at the same place"
-    )]
-    Phases {
-        /// The head.
-        head: String,
-        /// How many.
-        found: usize,
-    },
-    /// Markers do not tell the fringe orders.
-    #[error(
-        "head {head}: the markers in {agreeing} of {marked} frames with fringes agree on the fringe orders, expected at least {LEAST_AGREEING} and more than half of them. Project the rig's pattern (`fourdbody pattern`), sharp, and show the board where the marker falls on it"
-    )]
-    Markers {
-        /// The head.
-        head: String,
-        /// Frames whose markers agree.
-        agreeing: usize,
-        /// Frames that show a marker.
-        marked: usize,
-    },
-    /// All positions are nearly parallel.
-    #[error(
-        "head {head}: the positions of the board are tilted against each other by at most {degrees} degrees, expected 25 or more. Tilt the board more"
-    )]
-    Parallel {
-        /// The head.
-        head: String,
-        /// Largest angle between two positions.
-        degrees: u32,
-    },
-    /// Two cameras' images were exchanged.
-    #[error(
-        "cameras {} and {} are swapped: each sees the board where the other one should. Exchange their cables, addresses or directories",
-        .cameras[0], .cameras[1]
-    )]
-    Swapped {
-        /// The cameras.
-        cameras: [String; 2],
-    },
-    /// The rig file does not say where the cameras are.
-    #[error(
-        "cameras {} and {} see the board {millimetres} mm apart with the geometry of the rig file, expected at most 250. Correct the rig file, or find out which camera is not where it says",
-        .cameras[0], .cameras[1]
-    )]
-    Misplaced {
-        /// The cameras.
-        cameras: [String; 2],
-        /// How far apart.
-        millimetres: u32,
-    },
-    /// A declared vertical cannot be.
-    #[error("{0}")]
-    World(#[from] WorldError),
-    /// Too many positions contradict each other.
-    #[error(
-        "head {head}: {excluded} of {views} views contradict the others; nothing can be trusted. Is the board stiff, does its file give the measured centres, did it stand still from the white frame to the fringes?"
-    )]
-    Contradictory {
-        /// The head.
-        head: String,
-        /// Views left out so far.
-        excluded: usize,
-        /// Views there were.
-        views: usize,
-    },
-    /// The observations are explained badly.
-    #[error(
-        "head {head}: {what} are explained to {found_millipixels} thousandths of a pixel, expected {limit_millipixels} or less. Is the board flat, and its file that of this board?"
-    )]
-    Residuals {
-        /// The head.
-        head: String,
-        /// Circles or phases.
-        what: &'static str,
-        /// Median residual.
-        found_millipixels: u32,
-        /// What is accepted.
-        limit_millipixels: u32,
-    },
-    /// Sizes are not those of the rig file.
-    #[error(
-        "head {head}: its cameras come out {percent} % as far apart as in the rig file, expected 95 to 105. Is it the file of this board, in metres?"
-    )]
-    Scale {
-        /// The head.
-        head: String,
-        /// Distance of the cameras, relative to the rig file's.
-        percent: u32,
-    },
-    /// A focal length is not determined.
-    #[error(
-        "head {head}: the focal length of {device} is known to {per_mille} per mille only, expected 3 or less. More positions are needed that fill the image and are tilted more"
-    )]
-    Uncertain {
-        /// The head.
-        head: String,
-        /// The device.
-        device: String,
-        /// Standard deviation.
-        per_mille: u32,
-    },
-    /// A head shares no position with any other.
-    #[error(
-        "head {head} saw no position of the board together with another head. Show the board between two heads"
-    )]
-    Alone {
-        /// The head.
-        head: String,
-    },
-    /// The equations have no solution.
-    #[error("head {head}: {error}")]
-    Adjust {
-        /// The head, or "all heads".
-        head: String,
-        /// Why.
-        error: AdjustError,
-    },
-}
-
-/// Which terms of the lenses are estimated; `docs/design/experiments.md` says what fewer do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Terms {
-    /// The third radial term of the cameras.
-    pub camera_k3: bool,
-    /// The tangential terms of the cameras.
-    pub camera_tangential: bool,
-    /// The second radial term of the projector.
-    pub projector_k2: bool,
-    /// The tangential terms of the projector.
-    pub projector_tangential: bool,
-}
-
-impl Default for Terms {
-    fn default() -> Self {
-        Self { camera_k3: false, camera_tangential: true, projector_k2: true, projector_tangential: true }
-    }
-}
-
-/// What the stages know of the devices: place in the calibration's order.
-#[derive(Clone, Copy)]
-pub struct Rigging<'a> {
-    /// The rig's nominal geometry.
-    pub nominal: &'a Calibration,
-    /// The board.
-    pub board: &'a Board,
-    /// The positions.
-    pub positions: &'a [Position],
-    /// What is estimated.
-    pub terms: Terms,
-}
-
-/// A head after stages 1 and 2. Devices: cameras in the rig's order, then the projector. The frame is the nominal world.
-#[derive(Debug, Clone)]
-pub struct HeadResult {
-    /// Place of the head in the rig.
-    pub head: usize,
-    /// Positions used, as places in the list of positions.
-    pub positions: Vec<usize>,
-    /// After stage 1, the cameras alone.
-    pub cameras: Adjusted,
-    /// After stage 2.
-    pub all: Adjusted,
-    /// Circle observations, then phase observations, as in `all`.
-    pub observations: Vec<Observation>,
-    /// How many of them are circles.
-    pub circles: usize,
-    /// By phase observation, the camera that saw it, as its place in the head.
-    pub phase_cameras: Vec<usize>,
-    /// Views whose markers are elsewhere than the board has them.
-    pub misread: Vec<Misread>,
-    /// What was left out because it contradicts the rest, and what looked wrong.
-    pub findings: Vec<Finding>,
-}
-
 impl Rigging<'_> {
-    /// Place of a head's first camera among all cameras.
-    pub(super) fn first_camera(&self, head: usize) -> usize {
-        self.nominal.cameras_of(head).start
-    }
-
-    pub(super) fn head_name(&self, head: usize) -> String {
-        self.nominal.heads[head].id.to_string()
-    }
-
     /// Stages 1 and 2 of one head; views that contradict the others are left out, as long as they are few.
-    pub fn calibrate_head(&self, head: usize) -> Result<HeadResult, StageError> {
+    pub(super) fn calibrate_head(&self, head: usize) -> Result<HeadResult, StageError> {
         let mut excluded = Excluded::default();
         let mut findings = Vec::new();
         loop {
             let result = self.attempt(head, &excluded)?;
             let worse = excluded.contradicting(self, &result);
             if worse.is_empty() {
-                self.check(&result, &Limits::default())?;
+                self.check(&result)?;
                 let misread = self.misread(&result, &excluded);
                 findings.extend(misread.iter().map(|view| self.misread_finding(head, view)));
                 return Ok(HeadResult { misread, findings, ..result });
@@ -269,25 +48,23 @@ impl Rigging<'_> {
     }
 
     /// Stages 1 and 2 with all views that are not excluded.
-    pub(super) fn attempt(&self, head: usize, excluded: &Excluded) -> Result<HeadResult, StageError> {
-        let adjust_error = |error| StageError::Adjust { head: self.head_name(head), error };
+    fn attempt(&self, head: usize, excluded: &Excluded) -> Result<HeadResult, StageError> {
+        let refused = |error| StageError::Refused(format!("head {}: {error}", self.head_name(head)));
         let (positions, boards) = self.starting_boards(head, excluded)?;
         let mut model = Model { devices: self.starting_devices(head), boards };
         let mut circles = self.circles(head, &positions, excluded);
         let priors = self.priors(head);
         let (projector, cameras) = (model.devices.len() - 1, self.nominal.heads[head].cameras.len());
-        let mut stage1 = None;
         for _ in 0..CAMERA_ROUNDS {
             let observations = self.corrected(&model, &circles);
-            // The projector waits; nothing observes it yet.
-            let adjusted = adjust(model, &observations, &priors, 0).map_err(adjust_error)?;
+            // Nothing observes the projector yet: it stays as it is.
+            let adjusted = adjust(model, &observations, &priors, 0).map_err(refused)?;
             for camera in 0..cameras {
                 let spread = spread(&adjusted, &observations, |i| observations[i].device == camera);
                 let mine = circles.iter_mut().filter(|(o, _)| o.device == camera);
                 mine.for_each(|(o, _)| o.sigma_px *= spread);
             }
-            model = adjusted.model.clone();
-            stage1 = Some(adjusted);
+            model = adjusted.model;
         }
         self.settle_orders(head, &positions, &mut model, excluded)?;
         let (mut last, mut phase_scale) = (None, 1.0);
@@ -302,19 +79,18 @@ impl Rigging<'_> {
                 );
             }
             self.check_phases(head, &observations[circles.len()..], positions.len())?;
-            let adjusted = adjust(model, &observations, &priors, 0).map_err(adjust_error)?;
+            let adjusted = adjust(model, &observations, &priors, 0).map_err(refused)?;
             phase_scale *= spread(&adjusted, &observations, |i| observations[i].device == projector);
             model = adjusted.model.clone();
             last = Some((adjusted, observations, phase_cameras));
         }
-        let (Some(cameras), Some((all, observations, phase_cameras))) = (stage1, last) else {
-            return Err(StageError::Positions { head: self.head_name(head), found: 0 });
+        let Some((all, observations, phase_cameras)) = last else {
+            return Err(StageError::Positions { head: self.head_name(head).to_owned(), found: 0 });
         };
         let circles = circles.len();
         Ok(HeadResult {
             head,
             positions,
-            cameras,
             all,
             observations,
             circles,
@@ -339,17 +115,13 @@ impl Rigging<'_> {
         head: usize,
         excluded: &Excluded,
     ) -> Result<(Vec<usize>, Vec<Isometry3<f64>>), StageError> {
-        let first = self.first_camera(head);
         let cameras = &self.nominal.heads[head].cameras;
         let (mut places, mut boards) = (Vec::new(), Vec::<Isometry3<f64>>::new());
         let (mut distinct, mut views) = (0, vec![0; cameras.len()]);
-        for (place, position) in self.positions.iter().enumerate() {
+        for place in 0..self.positions.len() {
             // The camera that saw most of the board.
-            let seen = cameras.iter().enumerate().filter(|(c, _)| !excluded.has_view(*c, place));
-            let seen = seen.filter_map(|(c, camera)| {
-                let view = position.views[first + c].as_ref()?;
-                Some((c, view, &camera.device))
-            });
+            let seen = cameras.iter().enumerate().filter(|(c, _)| !excluded.views.contains(&(*c, place)));
+            let seen = seen.filter_map(|(c, camera)| Some((c, self.view(head, c, place)?, &camera.device)));
             let seen: Vec<_> = seen.collect();
             let Some((_, view, device)) = seen.iter().max_by_key(|(_, view, _)| view.sightings.len()) else {
                 continue;
@@ -363,18 +135,23 @@ impl Rigging<'_> {
             places.push(place);
             boards.push(board);
         }
-        if distinct < LEAST_POSITIONS {
-            return Err(StageError::Positions { head: self.head_name(head), found: distinct });
-        }
+        self.check_positions(head, distinct)?;
         if let Some((camera, found)) = cameras.iter().zip(&views).find(|(_, found)| **found < LEAST_VIEWS) {
-            let (camera, positions) = (camera.id.to_string(), places.len());
-            return Err(StageError::Views { camera, found: *found, positions });
+            return Err(StageError::Refused(format!(
+                "camera {}: usable views in {found} of {} positions of the board, expected at least {LEAST_VIEWS}. See what was left out of it",
+                camera.id,
+                places.len()
+            )));
         }
         let normals: Vec<Vector3<f64>> = boards.iter().map(|b| b.rotation * Vector3::z()).collect();
         let angles = normals.iter().flat_map(|a| normals.iter().map(move |b| a.angle(b)));
         let degrees = angles.fold(0.0, f64::max).to_degrees();
         if degrees < 25.0 {
-            return Err(StageError::Parallel { head: self.head_name(head), degrees: degrees as u32 });
+            return Err(StageError::Refused(format!(
+                "head {}: the positions of the board are tilted against each other by at most {} degrees, expected 25 or more. Tilt the board more",
+                self.head_name(head),
+                degrees as u32
+            )));
         }
         Ok((places, boards))
     }
@@ -383,26 +160,23 @@ impl Rigging<'_> {
         let points = |board: usize| phases.iter().filter(|o| o.board == board).count();
         let found = (0..positions).filter(|board| points(*board) >= LEAST_PHASE_POINTS).count();
         if found < LEAST_PHASES {
-            return Err(StageError::Phases { head: self.head_name(head), found });
+            return Err(StageError::Refused(format!(
+                "head {}: fringes give a phase in {found} positions of the board, expected at least {LEAST_PHASES}. After each white frame one with the rig's pattern is needed, the board at the same place",
+                self.head_name(head)
+            )));
         }
         Ok(())
     }
 
     /// Sightings of all circles, as measured.
-    pub(super) fn circles(
-        &self,
-        head: usize,
-        positions: &[usize],
-        excluded: &Excluded,
-    ) -> Vec<(Observation, f64)> {
-        let first = self.first_camera(head);
+    fn circles(&self, head: usize, positions: &[usize], excluded: &Excluded) -> Vec<(Observation, f64)> {
         let mut all = Vec::new();
         for (board, &position) in positions.iter().enumerate() {
             for device in 0..self.nominal.heads[head].cameras.len() {
-                let Some(view) = &self.positions[position].views[first + device] else { continue };
-                if excluded.has_view(device, position) {
+                let view = self.view(head, device, position);
+                let Some(view) = view.filter(|_| !excluded.views.contains(&(device, position))) else {
                     continue;
-                }
+                };
                 all.extend(view.sightings.iter().map(|sighting| {
                     let circle = self.board.circles()[sighting.circle];
                     let observation = Observation {
@@ -421,7 +195,7 @@ impl Rigging<'_> {
     }
 
     /// The same with outline centres brought to the images of the circles' centres.
-    pub(super) fn corrected(&self, model: &Model, circles: &[(Observation, f64)]) -> Vec<Observation> {
+    fn corrected(&self, model: &Model, circles: &[(Observation, f64)]) -> Vec<Observation> {
         let correct = |(observation, radius): &(Observation, f64)| {
             let [du, dv] = centre_shift(model, observation, *radius).unwrap_or([0.0; 2]);
             let [u, v] = observation.measured;
@@ -431,33 +205,23 @@ impl Rigging<'_> {
     }
 
     /// A projector that sees columns only: fy and cy are in no column and k3 is held, k2 and the tangential terms are
-    /// loosely known, and nothing but the design says where it is along its rows.
+    /// loosely known, and its place along its rows is known from the design alone.
     pub(super) fn priors(&self, head: usize) -> Vec<Prior> {
         let devices = self.starting_devices(head);
         let device = devices.len() - 1;
         let projector = &devices[device];
-        let held = |parameter, mean, sigma| Prior { device, parameter, mean, sigma };
-        let loosely = |is: bool, sigma: f64| if is { sigma } else { 0.0 };
-        let tangential = loosely(self.terms.projector_tangential, 1e-3);
+        let known = |parameter, mean, sigma| Prior { device, parameter, mean, sigma };
         let mut priors = vec![
-            held(1, projector.lens.fy, 0.0),
-            held(3, projector.lens.cy, 0.0),
-            held(5, projector.lens.distortion[1], loosely(self.terms.projector_k2, 0.05)),
-            held(6, projector.lens.distortion[2], tangential),
-            held(7, projector.lens.distortion[3], tangential),
-            held(8, 0.0, 0.0),
-            held(13, projector.device_from_frame.translation.y, 0.02),
+            known(1, projector.lens.fy, 0.0),
+            known(3, projector.lens.cy, 0.0),
+            known(5, projector.lens.distortion[1], 0.05),
+            known(6, projector.lens.distortion[2], 1e-3),
+            known(7, projector.lens.distortion[3], 1e-3),
+            known(8, 0.0, 0.0),
+            known(13, projector.device_from_frame.translation.y, 0.02),
         ];
-        for device in 0..device {
-            let mut hold = |parameter| priors.push(Prior { device, parameter, mean: 0.0, sigma: 0.0 });
-            if !self.terms.camera_k3 {
-                hold(8);
-            }
-            if !self.terms.camera_tangential {
-                hold(6);
-                hold(7);
-            }
-        }
+        // The cameras' k3 is held at 0: it explains nothing more (`docs/design/experiments.md`).
+        priors.extend((0..device).map(|device| Prior { device, parameter: 8, mean: 0.0, sigma: 0.0 }));
         priors
     }
 }
@@ -471,16 +235,6 @@ fn spread(adjusted: &Adjusted, observations: &[Observation], is_chosen: impl Fn(
         (sum + square / (o.sigma_px * o.sigma_px), n + count)
     });
     if n > 0.0 { f64::sqrt(sum / n).clamp(0.05, 50.0) } else { 1.0 }
-}
-
-/// Pixel of a board point.
-pub(super) fn project(
-    device: &DeviceModel,
-    frame_from_board: &Isometry3<f64>,
-    point: &Point3<f64>,
-) -> Option<[f64; 2]> {
-    let p = device.device_from_frame * (frame_from_board * point);
-    (p.z > 1e-6).then(|| device.lens.distort(p.x / p.z, p.y / p.z)).flatten()
 }
 
 /// Outline's centre minus image of the centre, px: perspective and distortion together.

@@ -35,7 +35,7 @@ pub fn board_pose(board: &Board, sightings: &[Sighting], lens: &Lens) -> Option<
 /// Positions of the board nearer to each other than this, m and rad, are one.
 const DISTINCT: (f64, f64) = (0.02, 0.035);
 
-/// Whether a position of the board says nothing that the other one does not.
+/// Whether two positions of the board are so near that the second adds nothing.
 pub(super) fn is_same_position(a: &Isometry3<f64>, b: &Isometry3<f64>) -> bool {
     (a.translation.vector - b.translation.vector).norm() < DISTINCT.0
         && a.rotation.angle_to(&b.rotation) < DISTINCT.1

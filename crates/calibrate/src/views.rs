@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! From the photographs of a session to what the calibration uses: which position of the board, lit white or with
-//! fringes; the circles of the one, the phase of the other. Whatever cannot be used is named with its reason.
+//! Judges the photographs of a session: whether the board is lit white or with fringes, the circles in white light, and
+//! the phase in fringes. A photograph that cannot be used is named with its reason.
 //!
 //! [`look_at_frame`] judges a frame by itself, [`super::positions::arrange`] brings the frames of a position together.
 
 use super::board::Board;
-use super::findings::{Finding, Kind};
-use super::gamma::LightSample;
+use super::estimate::median;
+use super::findings::{Finding, Kind, Refusal};
 use super::lattice::{Sighting, identify};
-use super::positions::{Position, arrange};
-use super::rows::RidgePixel;
+use super::observed::{DARK, Looked, Phase, Position, View};
+use super::positions::arrange;
 use super::spots::find_spots;
 use super::start::board_pose;
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -26,78 +26,12 @@ use std::sync::Arc;
 /// What lights the board in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Light {
-    /// Nothing.
     Dark,
-    /// White, evenly or not.
+    /// White light, even or not.
     White,
-    /// The fringe pattern.
     Fringes,
 }
 
-/// A camera's view of the board, lit white.
-#[derive(Debug, Clone)]
-pub struct View {
-    /// The circles.
-    pub sightings: Vec<Sighting>,
-    /// The phase over the frame with fringes.
-    pub phase: Option<Phase>,
-    /// By circle of the board: seen in the white frame and again in the frame with fringes. Empty without fringes.
-    pub confirmed: Vec<bool>,
-    /// The white frame, until the fringes were compared with it.
-    pub white: Option<Plane<u8>>,
-    /// How the fringes' light compares with the white light.
-    pub light: Vec<LightSample>,
-    /// The markers' ridges in the frame with fringes.
-    pub ridge: Vec<RidgePixel>,
-}
-
-/// The phase of a frame by itself, rad.
-#[derive(Debug, Clone)]
-pub struct Phase {
-    /// NaN where there is none.
-    pub plane: Plane<f32>,
-    /// Where the frame's own marker tells the fringe orders. Elsewhere whole turns may be lacking, others in each patch: the
-    /// board tells them (`orders.rs`).
-    pub told: Plane<bool>,
-    /// Whether the marker is where the phase has it.
-    pub marker: bool,
-}
-
-/// What one frame shows.
-#[derive(Debug, Clone)]
-pub enum Looked {
-    /// There is no frame, for this reason.
-    Missing(String),
-    /// Nothing is lit.
-    Dark,
-    /// The board in white light, or why it cannot be used.
-    White(Result<View, Refusal>),
-    /// The board with fringes.
-    Fringes {
-        /// The frame itself, to find the circles again.
-        image: Plane<u8>,
-        /// The phase, or why there is none.
-        phase: Result<Phase, Refusal>,
-    },
-}
-
-/// Why a frame cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Refusal {
-    /// For programs.
-    pub kind: Kind,
-    /// What was found and what to do.
-    pub message: String,
-}
-
-impl Refusal {
-    fn new(kind: Kind, message: impl Into<String>) -> Self {
-        Self { kind, message: message.into() }
-    }
-}
-
-/// Darker than this all over is dark, grey levels.
-pub(super) const DARK: u8 = 24;
 /// Fringes change the light by at least this share over half a period.
 const FRINGE_CONTRAST: f32 = 0.12;
 /// Edges wider than this are out of focus or moved, px.
@@ -106,7 +40,7 @@ const BLUR_PX: f64 = 2.5;
 const SATURATED: f64 = 253.0;
 /// Share of saturated circles above which a view is left out; fewer are left out one by one.
 const MOST_SATURATED: f64 = 0.25;
-/// Circles below which a view says too little.
+/// Fewest circles of a view that is used.
 const LEAST_CIRCLES: usize = 30;
 
 /// What lights the board: fringes of about `period_px` columns, or not.
@@ -133,7 +67,8 @@ pub fn light_of(image: Mono8<'_>, period_px: f32) -> Light {
     if *contrast > FRINGE_CONTRAST { Light::Fringes } else { Light::White }
 }
 
-/// One pipeline for every camera, in the calibration's order. Nominal geometry has no rows to hold dashes against.
+/// One pipeline for every camera, in the calibration's order. The nominal geometry has no rows, so dashes are not
+/// checked.
 pub fn pipelines(nominal: &Calibration) -> Result<Vec<Pipeline>, String> {
     let workspace = Arc::new(Workspace::default());
     let pipeline = |pair| {
@@ -214,24 +149,23 @@ fn look_at_fringes(image: Mono8<'_>, pipeline: &Pipeline) -> Result<Phase, Refus
         Refusal::new(Kind::NoPhase, format!("the fringes give no phase ({:?})", refused.outcome))
     })?;
     let mut plane = Plane::filled(image.width(), image.height(), f32::NAN);
-    let mut told = Plane::filled(image.width(), image.height(), false);
+    let mut by_marker = Plane::filled(image.width(), image.height(), false);
     let roi = prepared.roi;
     for v in 0..roi.height {
-        // What lies beside the runs is any number.
+        // Values beside the runs are undefined.
         for u in prepared.runs().row(v).iter().flat_map(|run| run.columns()) {
             let absolute = prepared.absolute.at(u, v);
             let phase = if absolute.is_nan() { in_patches.at(u, v) } else { absolute };
             plane.set(roi.u + u, roi.v + v, phase);
-            told.set(roi.u + u, roi.v + v, !absolute.is_nan());
+            by_marker.set(roi.u + u, roi.v + v, !absolute.is_nan());
         }
     }
-    Ok(Phase { plane, told, marker: prepared.counts.marker > 0 })
+    Ok(Phase { plane, by_marker, marker: prepared.counts.marker > 0 })
 }
 
 fn look_at_circles(image: Mono8<'_>, board: &Board, camera: &Device) -> Result<View, Refusal> {
     let spots = find_spots(image);
-    let mut sightings =
-        identify(&spots, board).map_err(|reason| Refusal::new(Kind::from(&reason), reason.to_string()))?;
+    let mut sightings = identify(&spots, board)?;
     let all = sightings.len();
     let blur = median(sightings.iter().map(|s| s.spot.blur_px));
     if blur > BLUR_PX {
@@ -270,8 +204,9 @@ fn look_at_circles(image: Mono8<'_>, board: &Board, camera: &Device) -> Result<V
     })
 }
 
-/// Circles may seem larger or smaller than the board file says by this share, and by this many px: what blooming does.
+/// Circles may seem larger or smaller than in the board file by this share, as blooming makes them.
 const SIZE_SHARE: f64 = 0.04;
+/// Circles may seem larger or smaller by this many px in addition.
 const SIZE_PX: f64 = 0.4;
 
 /// The pitch gives the distance, the distance the size: another board of the same code has another proportion.
@@ -279,7 +214,7 @@ fn check_sizes(sightings: &[Sighting], board: &Board, camera: &Device) -> Result
     let Some(pose) = board_pose(board, sightings, &camera.lens) else {
         return Err(Refusal::new(
             Kind::FewCircles,
-            "the circles do not tell where the board is. Show more of it",
+            "the circles do not determine where the board is. Show more of it",
         ));
     };
     let ratios: Vec<(f64, f64)> = sightings
@@ -297,7 +232,7 @@ fn check_sizes(sightings: &[Sighting], board: &Board, camera: &Device) -> Result
     Err(Refusal::new(
         Kind::CircleSize,
         format!(
-            "circles are {:.0} % as large as the board file says for their distance from each other, expected 100 +- {:.0} %. Is it the file of this board?",
+            "circles are {:.0} % as large as in the board file for their distance from each other, expected 100 +- {:.0} %. Is it the file of this board?",
             100.0 * ratio,
             100.0 * limit
         ),
@@ -320,11 +255,4 @@ fn outline_radius(
     let (x, y) = (centre.x / centre.z, centre.y / centre.z);
     let [[a, b], [c, d]] = camera.lens.jacobian(x, y);
     Some(ideal.radius() * (camera.lens.fx * camera.lens.fy * (a * d - b * c).abs()).sqrt())
-}
-
-/// The middle value; NaN without any.
-pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.filter(|x| !x.is_nan()).collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }

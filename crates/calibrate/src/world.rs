@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The world of a calibration. Photographs of a board say how the devices stand to each other, but not where the floor is:
-//! the adjustment holds one camera where the rig file has it, and its error of half a degree there would be the world's.
+//! The world of a calibration. Photographs of a board show how the devices stand to each other, but not where the floor
+//! is: the adjustment holds one camera where the rig file has it, and its error of half a degree there would be the
+//! world's.
 //!
 //! So the adjusted devices are moved together, rigidly, to where they fit the rig file best: each camera votes with its
-//! place and with its attitude, as much as a rig file is usually wrong in either. A position of the board that was set up
-//! with a spirit level says better what is vertical; then the world is turned to it.
+//! place and with its attitude, as much as a rig file is usually wrong in either. A position of the board that was set
+//! up with a spirit level shows better what is vertical; then the world is turned to it.
 
 use super::board::Board;
 use super::bundle::{DeviceModel, Model};
+use super::rigging::StageError;
 use crate::data::World;
 use crate::geometry::{Device, best_motion};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
@@ -17,42 +19,13 @@ const RIG_FILE: (f64, f64) = (0.010, 0.010);
 /// A vertical that is declared must agree with the rig file to this, rad: a wrong number of a position does not.
 const DECLARED: f64 = 10.0 / 180.0 * std::f64::consts::PI;
 
-/// What the operator says of one position of the board; positions are counted from 1, as everywhere in reports.
+/// What the operator declares of one position of the board; positions are counted from 1, as everywhere in reports.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Vertical {
     /// Two of its edges were plumb.
     Upright(usize),
     /// It lay level, face up or down.
     Level(usize),
-}
-
-/// Why a declared vertical cannot be used.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum WorldError {
-    /// There is no such position, or no head used it.
-    #[error("position {position} was declared {what}, but is not among the {used} positions used: {list}")]
-    Unused {
-        /// The position.
-        position: usize,
-        /// `upright` or `level`.
-        what: &'static str,
-        /// How many there are.
-        used: usize,
-        /// Their numbers.
-        list: String,
-    },
-    /// It is nowhere near vertical.
-    #[error(
-        "position {position} was declared {what}, but is {degrees:.1} degrees off with the geometry of the rig file, expected at most 10. Is it another position, or is the rig file wrong?"
-    )]
-    NotVertical {
-        /// The position.
-        position: usize,
-        /// `upright` or `level`.
-        what: &'static str,
-        /// How far off.
-        degrees: f64,
-    },
 }
 
 impl Vertical {
@@ -80,9 +53,10 @@ impl Vertical {
     }
 }
 
-/// The motion that brings found poses nearest to nominal ones: `nominal frame from found frame`. Each pose stands for six
-/// points on its axes, so far out that places and attitudes weigh by [`RIG_FILE`]; one pose is enough. `None` without.
-pub fn nearest_motion(poses: &[(Isometry3<f64>, Isometry3<f64>)]) -> Option<Isometry3<f64>> {
+/// The motion that brings found poses nearest to nominal ones: `nominal frame from found frame`. Each pose stands for
+/// six points on its axes, so far out that places and attitudes weigh by [`RIG_FILE`]; one pose is enough. `None`
+/// without.
+fn nearest_motion(poses: &[(Isometry3<f64>, Isometry3<f64>)]) -> Option<Isometry3<f64>> {
     // Six points at a distance L move by 6 d² + 4 L² a² in sum for a shift d and a turn by a.
     let reach = RIG_FILE.0 / RIG_FILE.1 * 1.5f64.sqrt();
     let tips = (0..6).map(|i| {
@@ -94,16 +68,16 @@ pub fn nearest_motion(poses: &[(Isometry3<f64>, Isometry3<f64>)]) -> Option<Isom
     best_motion(&pairs.collect::<Vec<_>>())
 }
 
-/// Moves a model whose frame is anyone's into the world. `nominal` has a device for each of the model's; `is_camera` says
-/// which vote: what a projector sees does not say where it is along its rows. `positions` has the number (from 0) of each of
-/// the model's boards.
-pub fn into_world(
+/// Moves a model of any frame into the world. `nominal` has a device for each of the model's, and whether it is a
+/// camera. Cameras vote; projectors do not, because their place along their rows is not measured. `positions` has the
+/// number (from 0) of each of the model's boards.
+pub(super) fn into_world(
     model: &mut Model,
     nominal: &[(Device, bool)],
     positions: &[usize],
     board: &Board,
     verticals: &[Vertical],
-) -> Result<World, WorldError> {
+) -> Result<World, StageError> {
     let found = |device: &DeviceModel| device.device_from_frame.inverse();
     let poses = |model: &Model| -> Vec<(Isometry3<f64>, Isometry3<f64>)> {
         let pairs = model.devices.iter().zip(nominal).filter(|(_, (_, is_camera))| *is_camera);
@@ -133,7 +107,7 @@ fn vertical_turn(
     model: &Model,
     positions: &[usize],
     verticals: &[Vertical],
-) -> Result<UnitQuaternion<f64>, WorldError> {
+) -> Result<UnitQuaternion<f64>, StageError> {
     let up = Vector3::z();
     let mut sum = Vector3::zeros();
     for vertical in verticals {
@@ -145,13 +119,20 @@ fn vertical_turn(
             used.sort_unstable();
             used.dedup();
             let list: Vec<String> = used.iter().map(ToString::to_string).collect();
-            return Err(WorldError::Unused { position, what, used: used.len(), list: list.join(", ") });
+            return Err(StageError::World(format!(
+                "position {position} was declared {what}, but is not among the {} positions used: {}",
+                used.len(),
+                list.join(", ")
+            )));
         }
         for (_, board) in seen {
             let direction = vertical.direction(board, &up);
             let off = direction.angle(&up);
             if !(off <= DECLARED) {
-                return Err(WorldError::NotVertical { position, what, degrees: off.to_degrees() });
+                return Err(StageError::World(format!(
+                    "position {position} was declared {what}, but is {:.1} degrees off with the geometry of the rig file, expected at most 10. Is it another position, or is the rig file wrong?",
+                    off.to_degrees()
+                )));
             }
             sum += direction;
         }

@@ -15,9 +15,9 @@ use std::path::PathBuf;
 
 /// Measure the distances between the outermost circles on both diagonals of the board, from edge to edge, per head.
 ///
-/// The edges are found in the clouds' intensities with what the calibration says of the fringes there; with --session in
-/// the photographs that the clouds were made of. Without --calibration the fringes at the edges are not known: expect errors
-/// of some tenths of a millimetre.
+/// The edges are found in the clouds' intensities, with the fringes that the calibration has there; with --session in
+/// the photographs that the clouds were made of. Without --calibration the fringes at the edges are not known: expect
+/// errors of some tenths of a millimetre.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody validate distance --clouds out --board config/board.toml --calibration calibration.json \\\n      --session sessions/board-9rpm"
@@ -26,7 +26,7 @@ pub struct Args {
     /// What `fourdbody reconstruct` wrote (with clouds/ in it).
     #[arg(long, value_name = "DIR")]
     clouds: PathBuf,
-    /// The board file.
+    /// The board file, with the centres as measured.
     #[arg(long, value_name = "FILE")]
     board: PathBuf,
     /// The calibration that the clouds were made with.
@@ -57,7 +57,7 @@ struct Missing {
     reason: String,
 }
 
-/// Runs the command.
+/// Runs `validate distance` and prints its table.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let board = Board::load(&args.board)?;
     let calibration = find_calibration(args.calibration.as_deref(), &args.clouds)?;
@@ -80,7 +80,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(if rows.is_empty() { Exit::Corrupt } else { Exit::Done })
 }
 
-/// One head at one trigger; the inner error says why there is nothing to measure.
+/// One head at one trigger; the inner error is the reason why it cannot be measured.
 fn measure(
     board: &Board,
     calibration: Option<&Calibration>,
@@ -134,24 +134,17 @@ fn print(args: &Args, rows: &[Row], missing: &[Missing]) {
         return;
     }
     println!(
-        "{:<6} {:>7} {:>17} {:>12} {:>9} {:>9} {:>7}  error of each camera mm",
-        "head", "trigger", "circles", "measured mm", "error mm", "edges mm", "rest %"
+        "head   trigger           circles  measured mm  error mm  edges mm  rest %  error of each camera mm"
     );
-    for row in rows {
-        let d = &row.diagonals;
+    for Row { head, trigger, diagonals: d, .. } in rows {
         for i in 0..2 {
-            let [from, to] = d.ends[i];
+            let [from, to] = d.ends[i].map(|[column, row]| format!("{column},{row}"));
+            let circles = format!("{from} to {to}");
+            let (measured, error, edges) = (d.diagonal_mm[i], d.error_mm[i], d.edges_mm[i]);
             let each: Vec<String> = d.error_of_camera_mm.iter().map(|e| format!("{:+.3}", e[i])).collect();
+            let (rest, each) = (100.0 * d.edge_rms, each.join(" "));
             println!(
-                "{:<6} {:>7} {:>17} {:>12.3} {:>+9.3} {:>+9.3} {:>7.2}  {}",
-                row.head,
-                row.trigger,
-                format!("{},{} to {},{}", from[0], from[1], to[0], to[1]),
-                d.diagonal_mm[i],
-                d.error_mm[i],
-                d.edges_mm[i],
-                100.0 * d.edge_rms,
-                each.join(" ")
+                "{head:<6} {trigger:>7} {circles:>17} {measured:>12.3} {error:>+9.3} {edges:>+9.3} {rest:>7.2}  {each}"
             );
         }
     }

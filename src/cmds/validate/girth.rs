@@ -9,8 +9,8 @@ use std::path::PathBuf;
 
 /// Measure closed contours of the merged clouds at stated heights, and their convex hulls.
 ///
-/// The slice is 8 mm thick, and its points are moved to its middle along the surface. Separate loops are named by where they
-/// lie: the trunk keeps the name, an arm on its left is NAME:+y or so. Two legs are NAME:+y and NAME:-y.
+/// The slice is 8 mm thick, and its points are moved to its middle along the surface. Separate loops are named by where
+/// they lie: the trunk keeps the name, an arm on its left is NAME:+y or so. Two legs are NAME:+y and NAME:-y.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody validate girth --clouds out --at waist=1.05 --at hip=0.88 --known waist=812.4 --known hip=961.0"
@@ -25,7 +25,7 @@ pub struct Args {
     /// What the contour of that name is known to measure, mm.
     #[arg(long, value_name = "NAME=MM", value_parser = parse_pair)]
     known: Vec<(String, f64)>,
-    /// Hold the convex hull against what is known, as for tape measurements, instead of the contour.
+    /// Compare the convex hull with the known girth, as for tape measurements, instead of the contour.
     #[arg(long)]
     tape: bool,
     /// Only the merged cloud of this trigger.
@@ -49,7 +49,7 @@ struct Row {
     difference_mm: Option<f64>,
 }
 
-/// Runs the command.
+/// Runs `validate girth` and prints its table.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let set = open_clouds(&args.clouds)?;
     let mut rows = Vec::new();
@@ -73,7 +73,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// A girth that was asked for and is not there is a failure, not an empty row.
+/// A requested girth that is not there is a failure, not an empty row.
 fn check(args: &Args, rows: &[Row]) -> Result<(), Failure> {
     let of = |name: &str| rows.iter().any(|r| r.name == name || r.name.starts_with(&format!("{name}:")));
     if let Some((name, height)) = args.at.iter().find(|(name, _)| !of(name)) {
@@ -101,34 +101,14 @@ fn print(json: bool, rows: &[Row]) {
         return;
     }
     println!(
-        "{:<16} {:>7} {:>7} {:>10} {:>10} {:>9} {:>7} {:>7} {:>7} {:>7} {:>8}",
-        "girth",
-        "height",
-        "trigger",
-        "contour mm",
-        "hull mm",
-        "differ mm",
-        "points",
-        "out",
-        "rms mm",
-        "gap mm",
-        "folded %"
+        "girth             height trigger contour mm    hull mm differ mm  points     out  rms mm  gap mm folded %"
     );
-    for row in rows {
-        let g = &row.girth;
+    for Row { name, height_m, trigger, girth, difference_mm, .. } in rows {
+        let Loop { contour_mm, hull_mm, points, left_out, rms_mm, gap_mm, folded_share, .. } = girth;
+        let differ = difference_mm.map_or("-".to_owned(), |d| format!("{d:+.2}"));
+        let folded = 100.0 * folded_share;
         println!(
-            "{:<16} {:>7.3} {:>7} {:>10.2} {:>10.2} {:>9} {:>7} {:>7} {:>7.3} {:>7.1} {:>8.1}",
-            row.name,
-            row.height_m,
-            row.trigger,
-            g.contour_mm,
-            g.hull_mm,
-            row.difference_mm.map_or("-".to_owned(), |d| format!("{d:+.2}")),
-            g.points,
-            g.left_out,
-            g.rms_mm,
-            g.gap_mm,
-            100.0 * g.folded_share
+            "{name:<16} {height_m:>7.3} {trigger:>7} {contour_mm:>10.2} {hull_mm:>10.2} {differ:>9} {points:>7} {left_out:>7} {rms_mm:>7.3} {gap_mm:>7.1} {folded:>8.1}"
         );
     }
     if let (Some(mean), Some(max)) = (mean_mm, max_mm) {

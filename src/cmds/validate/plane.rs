@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody validate plane`: how flat the board comes out.
 
-use super::{load_calibration, load_cloud, mean, of_something, open_clouds};
+use super::{load_calibration, load_cloud, mean, of_something, open_clouds, points};
 use crate::base::Exit;
 use crate::calibrate::Board;
 use crate::cmds::failure::Failure;
-use crate::data::Cloud;
+use crate::validate::deviations::Deviations;
 use crate::validate::plane::{Flatness, flatness};
 use crate::validate::ring::{Organized, place};
 use nalgebra::Point3;
@@ -13,16 +13,16 @@ use std::path::PathBuf;
 
 /// Fit a plane to the board's points, per camera and per head (both cameras together).
 ///
-/// Without --board the largest plane is the board, and the convex hull of its points its outline. With --board the circles
-/// tell where the board is. Points near the outline (--margin-mm) are left out; points of the board that are more than
-/// 10 mm off the plane have a wrong fringe order: they are counted (left_out), not averaged.
+/// Without --board the largest plane is the board, and the convex hull of its points its outline. With --board the
+/// circles give the board's pose. Points near the outline (--margin-mm) are left out; points of the board that are more
+/// than 10 mm off the plane have a wrong fringe order: they are counted (left_out), not averaged.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  fourdbody validate plane --clouds out --board config/board.toml")]
 pub struct Args {
     /// What `fourdbody reconstruct` wrote (with clouds/ in it).
     #[arg(long, value_name = "DIR")]
     clouds: PathBuf,
-    /// The calibration, which tells the cameras that make a head [default: that beside the clouds].
+    /// The calibration, which names the cameras of each head [default: that beside the clouds].
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
     /// The board file, to find the board by its circles.
@@ -48,7 +48,7 @@ struct Row {
     flatness: Flatness,
 }
 
-/// Runs the command.
+/// Runs `validate plane` and prints its table.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let calibration = load_calibration(args.calibration.as_deref(), &args.clouds)?;
     let board = args.board.as_ref().map(|path| Board::load(path)).transpose()?;
@@ -83,10 +83,6 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(if failed.is_empty() { Exit::Done } else { Exit::Corrupt })
 }
 
-fn points(cloud: &Cloud) -> impl Iterator<Item = Point3<f64>> {
-    cloud.position_m.iter().map(|p| Point3::from(*p).cast::<f64>())
-}
-
 fn print(json: bool, per_camera: &[Row], per_head: &[Row]) {
     let rms_mm = mean(per_head.iter().map(|row| row.flatness.deviations.rms_mm));
     if json {
@@ -94,37 +90,15 @@ fn print(json: bool, per_camera: &[Row], per_head: &[Row]) {
         return;
     }
     println!(
-        "{:<10} {:>7} {:>9} {:>8} {:>9} {:>8} {:>8} {:>10} {:>8} {:>8} {:>8} {:>9}  found by",
-        "",
-        "trigger",
-        "points",
-        "rms mm",
-        "robust mm",
-        "p95 mm",
-        "peak mm",
-        "w. edge mm",
-        "left out",
-        "edge",
-        "used %",
-        "elsewhere"
+        "           trigger    points   rms mm robust mm   p95 mm  peak mm w. edge mm left out     edge   used % elsewhere  found by"
     );
-    for row in per_camera.iter().chain(per_head) {
-        let (f, d) = (&row.flatness, &row.flatness.deviations);
+    for Row { camera, head, trigger, found_by, flatness } in per_camera.iter().chain(per_head) {
+        let name = camera.as_ref().unwrap_or(head);
+        let Flatness { left_out, edge, rms_with_edge_mm, elsewhere, .. } = flatness;
+        let Deviations { points, rms_mm, robust_mm, p95_mm, peak_mm, .. } = flatness.deviations;
+        let used = 100.0 * flatness.used_share;
         println!(
-            "{:<10} {:>7} {:>9} {:>8.4} {:>9.4} {:>8.3} {:>8.3} {:>10.4} {:>8} {:>8} {:>8.2} {:>9}  {}",
-            row.camera.as_ref().unwrap_or(&row.head),
-            row.trigger,
-            d.points,
-            d.rms_mm,
-            d.robust_mm,
-            d.p95_mm,
-            d.peak_mm,
-            f.rms_with_edge_mm,
-            f.left_out,
-            f.edge,
-            100.0 * f.used_share,
-            f.elsewhere,
-            row.found_by
+            "{name:<10} {trigger:>7} {points:>9} {rms_mm:>8.4} {robust_mm:>9.4} {p95_mm:>8.3} {peak_mm:>8.3} {rms_with_edge_mm:>10.4} {left_out:>8} {edge:>8} {used:>8.2} {elsewhere:>9}  {found_by}"
         );
     }
     println!("mean of heads and triggers: {rms_mm:.4} mm");

@@ -35,7 +35,7 @@ struct MergedRow {
     spacing: Merged,
 }
 
-/// Runs the command.
+/// Runs `validate spacing` and prints its tables.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let set = open_clouds(&args.clouds)?;
     let (mut clouds, mut all) = (Vec::new(), Vec::new());
@@ -61,31 +61,17 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         println!("{report}");
         return Ok(Exit::Done);
     }
-    println!(
-        "{:<20} {:>9} {:>11} {:>8} {:>8} {:>9}",
-        "cloud", "points", "spacing mm", "u mm", "v mm", "area m2"
-    );
-    for row in &clouds {
-        let s = &row.spacing;
-        println!(
-            "{:<20} {:>9} {:>11.3} {:>8.3} {:>8.3} {:>9.4}",
-            format!("{} {}", row.camera, row.trigger),
-            s.points,
-            s.spacing_mm,
-            s.spacing_u_mm,
-            s.spacing_v_mm,
-            s.area_m2
-        );
+    println!("cloud                   points  spacing mm     u mm     v mm   area m2");
+    for CloudRow { camera, trigger, spacing } in &clouds {
+        let name = format!("{camera} {trigger}");
+        let Directional { points, spacing_mm, spacing_u_mm: u, spacing_v_mm: v, area_m2 } = spacing;
+        println!("{name:<20} {points:>9} {spacing_mm:>11.3} {u:>8.3} {v:>8.3} {area_m2:>9.4}");
     }
-    println!(
-        "{:<20} {:>9} {:>11} {:>8} {:>8} {:>9}",
-        "merged", "points", "4 near mm", "near mm", "dens. mm", "lone"
-    );
-    for row in &all {
-        let s = &row.spacing;
+    println!("merged                  points   4 near mm  near mm dens. mm      lone");
+    for MergedRow { trigger, spacing } in &all {
+        let Merged { points, lone, nearest_mm, nearest_4_mm, density_mm } = spacing;
         println!(
-            "{:<20} {:>9} {:>11.3} {:>8.3} {:>8.3} {:>9}",
-            row.trigger, s.points, s.nearest_4_mm, s.nearest_mm, s.density_mm, s.lone
+            "{trigger:<20} {points:>9} {nearest_4_mm:>11.3} {nearest_mm:>8.3} {density_mm:>8.3} {lone:>9}"
         );
     }
     println!(

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody validate truth`: clouds against rendered ground truth, a sphere or a mesh.
 
-use super::{bin_rows, load_calibration, load_cloud, of_something, open_clouds, open_photographs};
+use super::{bin_rows, load_calibration, load_cloud, of_something, open_clouds, open_photographs, points};
 use crate::base::Exit;
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::{Mono8, write_png_rgb};
 use crate::cmds::failure::Failure;
 use crate::data::{Calibration, Cloud, Frame, FrameSource};
+use crate::validate::deviations::Deviations;
 use crate::validate::light::{Light, USABLE_DN};
 use crate::validate::solid::{Mesh, SolidScore, Sphere, score_mesh, score_sphere};
 use crate::validate::truth::{Reference, Score, Tally, Truth};
@@ -17,10 +18,10 @@ use std::path::{Path, PathBuf};
 
 /// Score clouds against rendered ground truth, per camera, all directional clouds together, and merged.
 ///
-/// The distance of a point is the Euclidean one to the true surface around its pixel. A point has the wrong
-/// fringe order when the projector sees it more than pi from the true phase at its pixel; points whose pixel
-/// sees no surface count as wrong, too. Normals of points of right order are held against those of the true surface, three
-/// pixels to each side.
+/// The distance of a point is the Euclidean one to the true surface around its pixel. A point has the wrong fringe
+/// order when the projector sees it more than pi from the true phase at its pixel; points whose pixel sees no surface
+/// count as wrong, too. Normals of points of right order are compared with those of the true surface, three pixels
+/// to each side.
 ///
 /// Against a sphere or a mesh the distance is signed (positive outside) and to the nearest point of the solid; points
 /// more than 10 mm away are counted (gross) and do not enter the other figures.
@@ -32,7 +33,7 @@ pub struct Args {
     /// What `fourdbody reconstruct` wrote (with clouds/ and merged/ in it).
     #[arg(long, value_name = "DIR")]
     clouds: PathBuf,
-    /// Directory of CAMERA_INDEX.npz files.
+    /// Directory of truth files, CAMERA_INDEX.npz each.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["sphere", "mesh"])]
     truth: Option<PathBuf>,
     /// The calibration that the scene was rendered with [default: that beside the clouds].
@@ -44,7 +45,8 @@ pub struct Args {
     /// Score against a mesh instead: a closed surface as Wavefront OBJ, world axes, m.
     #[arg(long, value_name = "FILE")]
     mesh: Option<PathBuf>,
-    /// The photographs (a session, or a directory of CAMERA/INDEX.png): completeness and uncertainties are told by modulation, too.
+    /// The photographs (a session, or a directory of CAMERA/INDEX.png): completeness and uncertainties are counted by
+    /// modulation, too.
     #[arg(long, value_name = "SESSION", requires = "truth")]
     images: Option<PathBuf>,
     /// Print one JSON object instead of a table.
@@ -53,7 +55,7 @@ pub struct Args {
     /// Draw where each directional cloud is right (grey), wrong (red, magenta) or missing (blue).
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
-    /// Hold the predicted uncertainties (`fourdbody reconstruct --uncertainty`) against the errors, by classes.
+    /// Compare the predicted uncertainties (`fourdbody reconstruct --uncertainty`) with the errors, by classes.
     #[arg(long, requires = "truth")]
     uncertainty: bool,
 }
@@ -61,7 +63,7 @@ pub struct Args {
 /// A truth file: its camera's number in the calibration, and its trigger.
 type Key = (u64, usize);
 
-/// Runs the command.
+/// Runs `validate truth` and prints its tables.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match (&args.truth, &args.calibration, args.sphere, &args.mesh) {
         (None, _, Some(sphere), None) => solid(args, |points| score_sphere(points, &sphere)),
@@ -79,14 +81,14 @@ fn solid(args: &Args, score: impl Fn(&[Point3<f64>]) -> SolidScore) -> Result<Ex
     let set = open_clouds(&args.clouds)?;
     let mut sets: BTreeMap<String, Vec<Point3<f64>>> = BTreeMap::new();
     for ((_, camera), place) in &set.directional {
-        points_of(&load_cloud(&set, place)?, sets.entry(camera.clone()).or_default());
+        sets.entry(camera.clone()).or_default().extend(points(&load_cloud(&set, place)?));
     }
     let mut merged = Vec::new();
     for place in set.merged.values() {
-        points_of(&load_cloud(&set, place)?, &mut merged);
+        merged.extend(points(&load_cloud(&set, place)?));
     }
-    let points = merged.len() + sets.values().map(Vec::len).sum::<usize>();
-    of_something(points, &args.clouds, "clouds with points")?;
+    let count = merged.len() + sets.values().map(Vec::len).sum::<usize>();
+    of_something(count, &args.clouds, "clouds with points")?;
     let cameras: BTreeMap<&String, SolidScore> =
         sets.iter().map(|(name, points)| (name, score(points))).collect();
     let merged = score(&merged);
@@ -95,31 +97,21 @@ fn solid(args: &Args, score: impl Fn(&[Point3<f64>]) -> SolidScore) -> Result<Ex
         return Ok(Exit::Done);
     }
     println!(
-        "{:<12} {:>9} {:>9} {:>9} {:>9} {:>9} {:>8}  fitted: radius error, centre error (mm)",
-        "", "points", "mean mm", "rms mm", "robust mm", "p95 mm", "gross %"
+        "                points   mean mm    rms mm robust mm    p95 mm  gross %  fitted: radius error, centre error (mm)"
     );
     let rows = cameras.iter().map(|(name, score)| (name.as_str(), score)).chain([("merged", &merged)]);
     for (name, score) in rows {
-        let d = &score.deviations;
+        let Deviations { points, mean_mm, rms_mm, robust_mm, p95_mm, .. } = score.deviations;
+        let gross = 100.0 * score.gross_share;
         let fitted = score.fitted.map_or(String::new(), |f| {
             let [x, y, z] = f.centre_error_mm;
             format!("{:+.3}, {x:+.3} {y:+.3} {z:+.3}", f.radius_error_mm)
         });
         println!(
-            "{name:<12} {:>9} {:>+9.3} {:>9.3} {:>9.3} {:>9.3} {:>8.3}  {fitted}",
-            d.points,
-            d.mean_mm,
-            d.rms_mm,
-            d.robust_mm,
-            d.p95_mm,
-            100.0 * score.gross_share
+            "{name:<12} {points:>9} {mean_mm:>+9.3} {rms_mm:>9.3} {robust_mm:>9.3} {p95_mm:>9.3} {gross:>8.3}  {fitted}"
         );
     }
     Ok(Exit::Done)
-}
-
-fn points_of(cloud: &Cloud, out: &mut Vec<Point3<f64>>) {
-    out.extend(cloud.position_m.iter().map(|p| Point3::from(*p).cast::<f64>()));
 }
 
 fn parse_sphere(text: &str) -> Result<Sphere, String> {
@@ -132,7 +124,7 @@ fn parse_sphere(text: &str) -> Result<Sphere, String> {
     }
 }
 
-/// Scores against rendered truth.
+/// Scores clouds against rendered truth, camera by camera.
 fn rendered(args: &Args, directory: &Path, calibration: Option<&Path>) -> Result<Exit, Failure> {
     let calibration = load_calibration(calibration, &args.clouds)?;
     let rows = bin_rows(&args.clouds)?;
@@ -156,7 +148,7 @@ fn rendered(args: &Args, directory: &Path, calibration: Option<&Path>) -> Result
         let light = images.as_deref().map(|images| light_of(images, &camera.id, trigger, &truth, reference));
         let light = light.transpose()?;
         let tally = per_camera.entry(number).or_default();
-        tally.add_with_light(&cloud, |_| true, &truth, reference, light.as_ref());
+        tally.add(&cloud, |_| true, &truth, reference, light.as_ref());
         if args.uncertainty {
             predicted.add(&cloud, &truth, reference, light.as_ref());
         }
@@ -174,7 +166,7 @@ fn rendered(args: &Args, directory: &Path, calibration: Option<&Path>) -> Result
         }
         if let Some((_, Some(cloud))) = &loaded {
             let number = u8::try_from(number).unwrap_or(u8::MAX);
-            merged.add(cloud, |i| cloud.camera.get(i) == Some(&number), &truth, reference);
+            merged.add(cloud, |i| cloud.camera.get(i) == Some(&number), &truth, reference, None);
         }
     }
     of_something(
@@ -245,23 +237,16 @@ fn print(json: bool, rows: &[(String, Score)], all: &Score, merged: Option<&Scor
         return;
     }
     println!(
-        "{:<12} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9} {:>9}  normals: median, p95 deg",
-        "", "points", "rms mm", "right mm", "p95 mm", "robust mm", "wrong %", "(off %)", "of lit %"
+        "                points    rms mm  right mm    p95 mm robust mm   wrong %   (off %)  of lit %  normals: median, p95 deg"
     );
     let named = rows.iter().map(|(name, score)| (name.as_str(), score));
     for (name, score) in named.chain([("directional", all)]).chain(merged.map(|score| ("merged", score))) {
+        let Score { points, rms_mm, rms_right_order_mm: right, p95_mm, robust_mm, .. } = score;
+        let shares = [score.wrong_order_share, score.off_surface_share, score.completeness_of_lit];
+        let [wrong, off, of_lit] = shares.map(|share| 100.0 * share);
+        let (median, p95) = (score.normal_median_deg, score.normal_p95_deg);
         println!(
-            "{name:<12} {:>9} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.3} {:>9.2}  {:.2}, {:.2}",
-            score.points,
-            score.rms_mm,
-            score.rms_right_order_mm,
-            score.p95_mm,
-            score.robust_mm,
-            100.0 * score.wrong_order_share,
-            100.0 * score.off_surface_share,
-            100.0 * score.completeness_of_lit,
-            score.normal_median_deg,
-            score.normal_p95_deg,
+            "{name:<12} {points:>9} {rms_mm:>9.3} {right:>9.3} {p95_mm:>9.3} {robust_mm:>9.3} {wrong:>9.3} {off:>9.3} {of_lit:>9.2}  {median:.2}, {p95:.2}"
         );
     }
     print_modulation(all);
@@ -273,10 +258,7 @@ fn print_modulation(all: &Score) {
         return;
     }
     println!("\ndirectional, by modulation; whole: a whole fringe around the pixel is on one lit surface");
-    println!(
-        "{:<16} {:>9} {:>10} {:>9} | {:>9} {:>10} {:>9}",
-        "at least", "of lit %", "complete %", "wrong %", "whole %", "complete %", "wrong %"
-    );
+    println!("at least          of lit % complete %   wrong % |   whole % complete %   wrong %");
     for class in &all.by_modulation {
         let usable = if class.min_modulation_dn == USABLE_DN { "  usable" } else { "" };
         let percent = [
@@ -295,21 +277,12 @@ fn print_modulation(all: &Score) {
 
 fn print_uncertainty(classes: &[Class]) {
     if !classes.is_empty() {
-        println!(
-            "\n{:<14} {:>14} {:>9} {:>13} {:>10} {:>6} {:>11}",
-            "class by", "from .. to", "points", "predicted mm", "robust mm", "ratio", "within 2 %"
-        );
+        println!("\nclass by           from .. to    points  predicted mm  robust mm  ratio  within 2 %");
     }
-    for class in classes {
+    for Class { by, from, to, points, predicted_mm, robust_mm, ratio, within_two } in classes {
+        let (bounds, within) = (format!("{from} .. {to}"), 100.0 * within_two);
         println!(
-            "{:<14} {:>14} {:>9} {:>13.3} {:>10.3} {:>6.2} {:>11.1}",
-            class.by,
-            format!("{} .. {}", class.from, class.to),
-            class.points,
-            class.predicted_mm,
-            class.robust_mm,
-            class.ratio,
-            100.0 * class.within_two,
+            "{by:<14} {bounds:>14} {points:>9} {predicted_mm:>13.3} {robust_mm:>10.3} {ratio:>6.2} {within:>11.1}"
         );
     }
 }

@@ -10,33 +10,33 @@ mod one_device;
 
 use crate::geometry::Lens;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+pub(super) use observe::project;
 use observe::{BLOCK, linearize, predict};
 pub(super) use one_device::{SeenColumn, column_error, fit_columns};
 
-/// Of a lens: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+/// Number of a lens's parameters: fx, fy, cx, cy, k1, k2, p1, p2, k3.
 pub const LENS_PARAMETERS: usize = 9;
-/// Of a pose: a small turn (rad), then a shift (m), both in the target's axes.
+/// Number of a pose's parameters: a small turn (rad), then a shift (m), both in the target's axes.
 pub const POSE_PARAMETERS: usize = 6;
-/// Of a device: lens, then pose.
+/// Number of a device's parameters: those of the lens, then those of the pose.
 pub const DEVICE_PARAMETERS: usize = LENS_PARAMETERS + POSE_PARAMETERS;
 
 /// Names of a device's parameters, in order.
 pub const DEVICE_PARAMETER_NAMES: [&str; DEVICE_PARAMETERS] =
     ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "rx", "ry", "rz", "tx", "ty", "tz"];
 
-/// A camera or projector.
+/// A camera or a projector as the adjustment sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DeviceModel {
-    /// Intrinsics and distortion.
     pub lens: Lens,
     /// Takes coordinates of the common frame to the device's.
     pub device_from_frame: Isometry3<f64>,
 }
 
-/// Everything that is estimated.
+/// Everything that an adjustment estimates: devices and positions of the board.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
-    /// Cameras and projectors.
+    /// Cameras and projectors; observations name them by place.
     pub devices: Vec<DeviceModel>,
     /// Per position of the board: takes board coordinates to the common frame.
     pub boards: Vec<Isometry3<f64>>,
@@ -45,9 +45,9 @@ pub struct Model {
 /// A point of the board that a device saw.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
-    /// Which device.
+    /// Place among the model's devices.
     pub device: usize,
-    /// Which position of the board.
+    /// Place among the model's positions of the board.
     pub board: usize,
     /// The point, board frame, m.
     pub point: Point3<f64>,
@@ -55,27 +55,24 @@ pub struct Observation {
     pub measured: [f64; 2],
     /// Standard deviation of that, px.
     pub sigma_px: f64,
-    /// Only the column counts.
+    /// Whether only the column was measured, as by a projector.
     pub columns_only: bool,
 }
 
 /// What is known of a device's parameter beforehand.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Prior {
-    /// Which device.
     pub device: usize,
     /// Which of its parameters: a lens parameter, or a shift (the last three).
     pub parameter: usize,
-    /// Its value.
     pub mean: f64,
     /// How well it is known; 0: it is held.
     pub sigma: f64,
 }
 
-/// An adjusted model.
+/// An adjusted model: `adjust` makes it, and the stages keep one per head and one of all heads.
 #[derive(Debug, Clone)]
 pub struct Adjusted {
-    /// The estimate.
     pub model: Model,
     /// Predicted minus measured, px, by observation; NaN where it is behind the device.
     pub residuals: Vec<[f64; 2]>,
@@ -83,75 +80,60 @@ pub struct Adjusted {
     pub outliers: Vec<bool>,
     /// Standard deviation of each device parameter, in the order of [`DEVICE_PARAMETER_NAMES`]; 0 where held.
     pub device_sigma: Vec<[f64; DEVICE_PARAMETERS]>,
-    /// Standard deviation of each board pose's parameters.
-    pub board_sigma: Vec<[f64; POSE_PARAMETERS]>,
     /// RMS of the residuals that count, in units of their stated standard deviation.
     pub chi: f64,
-    /// Steps taken.
-    pub iterations: usize,
-}
-
-/// Why an adjustment came to nothing.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum AdjustError {
-    /// Fewer equations than unknowns.
-    #[error("{equations} equations for {unknowns} unknowns: more positions of the board are needed")]
-    TooFew {
-        /// Equations.
-        equations: usize,
-        /// Unknowns.
-        unknowns: usize,
-    },
-    /// Something is not determined by the observations.
-    #[error(
-        "{parameter} is not determined by the observations: more and more strongly tilted positions are needed"
-    )]
-    Undetermined {
-        /// Which parameter.
-        parameter: String,
-    },
 }
 
 /// Residuals beyond this many standard deviations count less (Cauchy's loss).
 const ROBUST: f64 = 3.0;
-/// Steps at most.
+/// Most steps of one adjustment: they bound its time where it does not converge.
 const MAX_STEPS: usize = 100;
 /// Converged when a step lowers the cost by less than this share.
 const TOLERANCE: f64 = 1e-10;
 
 /// Adjusts everything that is not held. The pose of device `anchor` is held: it is the frame.
+///
+/// An error names what the observations do not determine, and what to do.
 pub fn adjust(
     start: Model,
     observations: &[Observation],
     priors: &[Prior],
     anchor: usize,
-) -> Result<Adjusted, AdjustError> {
+) -> Result<Adjusted, String> {
     let free = free_parameters(&start, observations, priors, anchor);
     let unknowns = free.iter().flatten().count();
-    let equations: usize = observations.iter().map(|o| if o.columns_only { 1 } else { 2 }).sum();
+    let equations: usize = observations.iter().map(Observation::equations).sum();
     if equations + priors.len() < unknowns {
-        return Err(AdjustError::TooFew { equations, unknowns });
+        return Err(format!(
+            "{equations} equations for {unknowns} unknowns: more positions of the board are needed"
+        ));
     }
+    let problem = Problem { observations, priors, free, unknowns };
     let mut model = start;
     let mut damping = 1e-4;
-    let mut cost = cost_of(&model, observations, priors);
-    let mut iterations = 0;
-    while iterations < MAX_STEPS {
-        iterations += 1;
-        let normal = accumulate(&model, observations, priors, &free, unknowns, true);
-        let Some((next, next_cost)) = step(&model, &normal, &free, &mut damping, cost, observations, priors)
-        else {
-            break;
-        };
+    let mut cost = problem.cost(&model);
+    for _ in 0..MAX_STEPS {
+        let normal = problem.accumulate(&model, true);
+        let Some((next, next_cost)) = problem.step(&model, &normal, &mut damping, cost) else { break };
         let gain = (cost - next_cost) / cost.max(1e-300);
         (model, cost) = (next, next_cost);
         if gain < TOLERANCE {
             break;
         }
     }
-    finish(model, observations, priors, &free, unknowns, iterations)
+    problem.finish(model)
 }
 
+/// What an adjustment minimizes: it stays the same from step to step.
+struct Problem<'a> {
+    observations: &'a [Observation],
+    priors: &'a [Prior],
+    /// For every parameter its place among the unknowns; `None` where it is held.
+    free: Vec<Option<usize>>,
+    unknowns: usize,
+}
+
+/// The normal equations of one step.
 struct Normal {
     matrix: DMatrix<f64>,
     gradient: DVector<f64>,
@@ -213,88 +195,109 @@ fn parameter(device: &DeviceModel, which: usize) -> f64 {
     }
 }
 
-fn cost_of(model: &Model, observations: &[Observation], priors: &[Prior]) -> f64 {
-    // A point that went behind its device is as bad as can be.
-    let seen: f64 =
-        observations.iter().map(|o| residual_of(model, o).map_or(1e6, |r| loss(squared_sigmas(r, o)))).sum();
-    let known: f64 = priors.iter().filter(|p| p.sigma > 0.0).map(|p| prior_residual(model, p).powi(2)).sum();
-    seen + known
+impl Observation {
+    /// How many equations it gives.
+    fn equations(&self) -> usize {
+        if self.columns_only { 1 } else { 2 }
+    }
 }
 
-fn accumulate(
-    model: &Model,
-    observations: &[Observation],
-    priors: &[Prior],
-    free: &[Option<usize>],
-    unknowns: usize,
-    robust: bool,
-) -> Normal {
-    let mut matrix = DMatrix::zeros(unknowns, unknowns);
-    let mut gradient = DVector::zeros(unknowns);
-    let boards_at = model.devices.len() * DEVICE_PARAMETERS;
-    for o in observations {
-        let Some(linear) = linearize(model, o) else { continue };
-        let squared = squared_sigmas(linear.residual.into(), o);
-        let w = weight(squared);
-        if !robust && w < 0.1 {
-            continue;
-        }
-        let scale = if robust { w } else { 1.0 } / (o.sigma_px * o.sigma_px);
-        let place = |i: usize| match i.checked_sub(DEVICE_PARAMETERS) {
-            None => free[o.device * DEVICE_PARAMETERS + i],
-            Some(i) => free[boards_at + o.board * POSE_PARAMETERS + i],
-        };
-        let places: [Option<usize>; BLOCK] = std::array::from_fn(place);
-        for row in 0..if o.columns_only { 1 } else { 2 } {
-            for (i, place) in places.iter().enumerate() {
-                let Some(a) = *place else { continue };
-                let ji = scale * linear.jacobian[(row, i)];
-                gradient[a] += ji * linear.residual[row];
-                for (k, place) in places.iter().enumerate() {
-                    if let Some(b) = *place {
-                        matrix[(a, b)] += ji * linear.jacobian[(row, k)];
+impl Problem<'_> {
+    fn cost(&self, model: &Model) -> f64 {
+        // A point behind its device costs more than any other, so that no step moves one there.
+        let loss = |o: &Observation| residual_of(model, o).map_or(1e6, |r| loss(squared_sigmas(r, o)));
+        let seen: f64 = self.observations.iter().map(loss).sum();
+        let known = self.priors.iter().filter(|p| p.sigma > 0.0);
+        seen + known.map(|p| prior_residual(model, p).powi(2)).sum::<f64>()
+    }
+
+    fn accumulate(&self, model: &Model, robust: bool) -> Normal {
+        let mut matrix = DMatrix::zeros(self.unknowns, self.unknowns);
+        let mut gradient = DVector::zeros(self.unknowns);
+        let boards_at = model.devices.len() * DEVICE_PARAMETERS;
+        for o in self.observations {
+            let Some(linear) = linearize(model, o) else { continue };
+            let squared = squared_sigmas(linear.residual.into(), o);
+            let w = weight(squared);
+            if !robust && w < 0.1 {
+                continue;
+            }
+            let scale = if robust { w } else { 1.0 } / (o.sigma_px * o.sigma_px);
+            let place = |i: usize| match i.checked_sub(DEVICE_PARAMETERS) {
+                None => self.free[o.device * DEVICE_PARAMETERS + i],
+                Some(i) => self.free[boards_at + o.board * POSE_PARAMETERS + i],
+            };
+            let places: [Option<usize>; BLOCK] = std::array::from_fn(place);
+            for row in 0..o.equations() {
+                for (i, place) in places.iter().enumerate() {
+                    let Some(a) = *place else { continue };
+                    let ji = scale * linear.jacobian[(row, i)];
+                    gradient[a] += ji * linear.residual[row];
+                    for (k, place) in places.iter().enumerate() {
+                        if let Some(b) = *place {
+                            matrix[(a, b)] += ji * linear.jacobian[(row, k)];
+                        }
                     }
                 }
             }
         }
-    }
-    for prior in priors.iter().filter(|prior| prior.sigma > 0.0) {
-        if let Some(place) = free[prior.device * DEVICE_PARAMETERS + prior.parameter] {
-            matrix[(place, place)] += prior.sigma.powi(-2);
-            gradient[place] += prior_residual(model, prior) / prior.sigma;
-        }
-    }
-    Normal { matrix, gradient }
-}
-
-/// The next model that is better, damped as much as needed; `None` where none is.
-fn step(
-    model: &Model,
-    normal: &Normal,
-    free: &[Option<usize>],
-    damping: &mut f64,
-    cost: f64,
-    observations: &[Observation],
-    priors: &[Prior],
-) -> Option<(Model, f64)> {
-    for _ in 0..20 {
-        let mut damped = normal.matrix.clone();
-        for i in 0..damped.nrows() {
-            damped[(i, i)] *= 1.0 + *damping;
-            damped[(i, i)] += 1e-12;
-        }
-        if let Some(factor) = damped.cholesky() {
-            let delta = factor.solve(&normal.gradient);
-            let next = moved(model, free, &-delta);
-            let next_cost = cost_of(&next, observations, priors);
-            if next_cost < cost {
-                *damping = (*damping / 5.0).max(1e-12);
-                return Some((next, next_cost));
+        for prior in self.priors.iter().filter(|prior| prior.sigma > 0.0) {
+            if let Some(place) = self.free[prior.device * DEVICE_PARAMETERS + prior.parameter] {
+                matrix[(place, place)] += prior.sigma.powi(-2);
+                gradient[place] += prior_residual(model, prior) / prior.sigma;
             }
         }
-        *damping *= 4.0;
+        Normal { matrix, gradient }
     }
-    None
+
+    /// The next model that is better, damped as much as needed; `None` where none is.
+    fn step(&self, model: &Model, normal: &Normal, damping: &mut f64, cost: f64) -> Option<(Model, f64)> {
+        for _ in 0..20 {
+            let mut damped = normal.matrix.clone();
+            for i in 0..damped.nrows() {
+                damped[(i, i)] *= 1.0 + *damping;
+                damped[(i, i)] += 1e-12;
+            }
+            if let Some(factor) = damped.cholesky() {
+                let next = moved(model, &self.free, &-factor.solve(&normal.gradient));
+                let next_cost = self.cost(&next);
+                if next_cost < cost {
+                    *damping = (*damping / 5.0).max(1e-12);
+                    return Some((next, next_cost));
+                }
+            }
+            *damping *= 4.0;
+        }
+        None
+    }
+
+    fn finish(&self, model: Model) -> Result<Adjusted, String> {
+        let Self { observations, free, unknowns, .. } = self;
+        let residual = |o: &Observation| residual_of(&model, o).unwrap_or([f64::NAN; 2]);
+        let residuals: Vec<[f64; 2]> = observations.iter().map(residual).collect();
+        let squares: Vec<f64> =
+            residuals.iter().zip(*observations).map(|(r, o)| squared_sigmas(*r, o)).collect();
+        let outliers: Vec<bool> = squares.iter().map(|s| !(weight(*s) >= 0.1)).collect();
+        let kept = || squares.iter().zip(*observations).zip(&outliers).filter(|(_, out)| !**out);
+        let sum: f64 = kept().map(|((square, _), _)| square).sum();
+        let equations: usize = kept().map(|((_, o), _)| o.equations()).sum();
+        let chi = (sum / equations.saturating_sub(*unknowns).max(1) as f64).sqrt();
+        let normal = self.accumulate(&model, false);
+        let Some(covariance) = normal.matrix.clone().cholesky().map(|factor| factor.inverse()) else {
+            let weakest =
+                (0..*unknowns).min_by(|a, b| normal.matrix[(*a, *a)].total_cmp(&normal.matrix[(*b, *b)]));
+            let parameter = weakest.and_then(|w| free.iter().position(|f| *f == Some(w)));
+            return Err(format!(
+                "{} is not determined by the observations: more and more strongly tilted positions are needed",
+                parameter_name(&model, parameter.unwrap_or(0))
+            ));
+        };
+        let sigma = |i: usize| free[i].map_or(0.0, |place| chi * covariance[(place, place)].max(0.0).sqrt());
+        let device_sigma = (0..model.devices.len())
+            .map(|d| std::array::from_fn(|i| sigma(d * DEVICE_PARAMETERS + i)))
+            .collect();
+        Ok(Adjusted { model, residuals, outliers, device_sigma, chi })
+    }
 }
 
 fn moved(model: &Model, free: &[Option<usize>], delta: &DVector<f64>) -> Model {
@@ -320,47 +323,6 @@ fn moved(model: &Model, free: &[Option<usize>], delta: &DVector<f64>) -> Model {
         devices: model.devices.iter().enumerate().map(device).collect(),
         boards: model.boards.iter().enumerate().map(board).collect(),
     }
-}
-
-fn finish(
-    model: Model,
-    observations: &[Observation],
-    priors: &[Prior],
-    free: &[Option<usize>],
-    unknowns: usize,
-    iterations: usize,
-) -> Result<Adjusted, AdjustError> {
-    let residuals: Vec<[f64; 2]> =
-        observations.iter().map(|o| residual_of(&model, o).unwrap_or([f64::NAN; 2])).collect();
-    let squares: Vec<f64> = residuals.iter().zip(observations).map(|(r, o)| squared_sigmas(*r, o)).collect();
-    let outliers: Vec<bool> = squares.iter().map(|s| !(weight(*s) >= 0.1)).collect();
-    let kept =
-        || squares.iter().zip(observations).zip(&outliers).filter(|(_, out)| !**out).map(|(pair, _)| pair);
-    let sum: f64 = kept().map(|(square, _)| square).sum();
-    let equations: usize = kept().map(|(_, o)| if o.columns_only { 1 } else { 2 }).sum();
-    let chi = (sum / equations.saturating_sub(unknowns).max(1) as f64).sqrt();
-    let normal = accumulate(&model, observations, priors, free, unknowns, false);
-    let Some(covariance) = normal.matrix.clone().cholesky().map(|factor| factor.inverse()) else {
-        let weakest =
-            (0..unknowns).min_by(|a, b| normal.matrix[(*a, *a)].total_cmp(&normal.matrix[(*b, *b)]));
-        let parameter = weakest.and_then(|w| free.iter().position(|f| *f == Some(w)));
-        return Err(AdjustError::Undetermined { parameter: parameter_name(&model, parameter.unwrap_or(0)) });
-    };
-    let sigma = |i: usize| free[i].map_or(0.0, |place| chi * covariance[(place, place)].max(0.0).sqrt());
-    let boards_at = model.devices.len() * DEVICE_PARAMETERS;
-    Ok(Adjusted {
-        device_sigma: (0..model.devices.len())
-            .map(|d| std::array::from_fn(|i| sigma(d * DEVICE_PARAMETERS + i)))
-            .collect(),
-        board_sigma: (0..model.boards.len())
-            .map(|b| std::array::from_fn(|i| sigma(boards_at + b * POSE_PARAMETERS + i)))
-            .collect(),
-        residuals,
-        outliers,
-        chi,
-        iterations,
-        model,
-    })
 }
 
 fn parameter_name(model: &Model, index: usize) -> String {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What one observation says: its residual, and how that depends on every parameter.
+//! One observation: its residual, and how that depends on every parameter.
 
-use super::{DEVICE_PARAMETERS, Model, Observation, POSE_PARAMETERS};
-use nalgebra::{Matrix2x3, Matrix3, SMatrix, Vector2, Vector3};
+use super::{DEVICE_PARAMETERS, DeviceModel, Model, Observation, POSE_PARAMETERS};
+use nalgebra::{Isometry3, Matrix2x3, Point3, SMatrix, Vector2};
 
 /// Parameters that one observation depends on: lens, device pose, board pose.
 pub(super) const BLOCK: usize = DEVICE_PARAMETERS + POSE_PARAMETERS;
@@ -13,12 +13,19 @@ pub(super) struct Linearized {
     pub(super) jacobian: SMatrix<f64, 2, BLOCK>,
 }
 
+/// The pixel at which a device sees a board point; `None` behind the device.
+pub fn project(
+    device: &DeviceModel,
+    frame_from_board: &Isometry3<f64>,
+    point: &Point3<f64>,
+) -> Option<[f64; 2]> {
+    let p = device.device_from_frame * (frame_from_board * point);
+    (p.z > 1e-6).then(|| device.lens.distort(p.x / p.z, p.y / p.z)).flatten()
+}
+
 /// Where `observation` should have been seen; `None` behind the device.
 pub(super) fn predict(model: &Model, observation: &Observation) -> Option<[f64; 2]> {
-    let device = &model.devices[observation.device];
-    let frame = model.boards[observation.board].transform_point(&observation.point);
-    let p = device.device_from_frame.transform_point(&frame);
-    (p.z > 1e-6).then(|| device.lens.distort(p.x / p.z, p.y / p.z)).flatten()
+    project(&model.devices[observation.device], &model.boards[observation.board], &observation.point)
 }
 
 /// First order of the residual around `model`.
@@ -60,16 +67,11 @@ pub(super) fn linearize(model: &Model, observation: &Observation) -> Option<Line
         jacobian.fixed_view_mut::<2, 3>(0, at).copy_from(block);
     };
     // A small turn w of the device changes R X by w x (R X).
-    place(&mut jacobian, 9, &(-pixel_from_point * cross(&seen)));
+    place(&mut jacobian, 9, &(-pixel_from_point * seen.cross_matrix()));
     place(&mut jacobian, 12, &pixel_from_point);
     let pixel_from_frame = pixel_from_point * pose.rotation.to_rotation_matrix().matrix();
-    place(&mut jacobian, DEVICE_PARAMETERS, &(-pixel_from_frame * cross(&turned)));
+    place(&mut jacobian, DEVICE_PARAMETERS, &(-pixel_from_frame * turned.cross_matrix()));
     place(&mut jacobian, DEVICE_PARAMETERS + 3, &pixel_from_frame);
     let predicted = Vector2::new(lens.fx * xd + lens.cx, lens.fy * yd + lens.cy);
     Some(Linearized { residual: predicted - Vector2::from(observation.measured), jacobian })
-}
-
-/// `cross(a) b = a x b`.
-fn cross(a: &Vector3<f64>) -> Matrix3<f64> {
-    a.cross_matrix()
 }

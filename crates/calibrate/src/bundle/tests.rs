@@ -74,7 +74,7 @@ fn observations(model: &Model, sigma: f64, seed: u64) -> Vec<Observation> {
     all
 }
 
-/// A projector that sees columns only says nothing of where it is along its rows.
+/// A projector that sees columns only does not determine its place along its rows.
 fn priors(model: &Model) -> Vec<Prior> {
     let projector = &model.devices[2];
     let held = |parameter: usize, mean: f64, sigma: f64| Prior { device: 2, parameter, mean, sigma };
@@ -157,8 +157,8 @@ fn errors(found: &DeviceModel, truth: &DeviceModel) -> [f64; DEVICE_PARAMETERS] 
     })
 }
 
-/// Over noise seeds, the ratio of each parameter's spread about the truth to its stated standard deviation; NaN where it
-/// is held. What is known beforehand is known with its own error in every seed.
+/// Over noise seeds, the ratio of each parameter's spread about the truth to its stated standard deviation; NaN where
+/// it is held. What is known beforehand is known with its own error in every seed.
 fn spread_over_stated(seeds: u64) -> Vec<[f64; DEVICE_PARAMETERS]> {
     let model = truth();
     let mut sums = vec![[0.0; DEVICE_PARAMETERS]; 3];
@@ -204,7 +204,7 @@ fn stated_uncertainty_is_the_spread() {
     check_spread(30);
 }
 
-/// The figures of docs/validation.md.
+/// Prints the figures of docs/validation.md on stated deviations.
 #[test]
 #[ignore = "200 adjustments, minutes: cargo test --release -p fourdbody-calibrate --lib bundle -- --include-ignored --nocapture"]
 fn stated_uncertainty_is_the_spread_over_many_seeds() {

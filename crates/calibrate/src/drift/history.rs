@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What checks of a calibration have said, session by session: one line of JSON each, and a plot beside it.
+//! The history of a calibration's checks: a line of JSON per session, and a plot beside it.
 //!
-//! Both files are written whole, by one process at a time. Lines are in the order in which sessions were recorded, whatever
-//! the order in which they were looked at; a line that is not whole is left out.
+//! Both files are written whole, by one process at a time. Lines are in the order in which the sessions were recorded,
+//! whatever the order of the checks. A line that is not whole is left out.
 
 use super::{Drift, plot};
 use crate::base::{json, regular, write_whole};
@@ -11,18 +11,18 @@ use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
-/// The lines, in a history's directory.
+/// File name of the lines in a history's directory.
 pub const LINES: &str = "calibration-history.jsonl";
-/// The plot, in a history's directory.
+/// File name of the plot in a history's directory.
 pub const PLOT: &str = "calibration-history.svg";
-/// Held while a check is under way and while the history is written.
+/// File name of the lock, held while a check is under way and while the history is written.
 const LOCK: &str = "calibration-history.lock";
-/// Where the check that holds the lock works.
+/// Directory in which the check that holds the lock keeps its phase maps.
 const SCRATCH: &str = "calibration-check";
 
-/// Sessions that are kept: those recorded last.
+/// Most sessions in a history: those recorded last are kept.
 pub const MOST: usize = 1000;
-/// More than that many lines take.
+/// Bytes of the lines that are read at most: more than that many sessions take.
 const MOST_BYTES: u64 = 16 << 20;
 
 /// Whether the devices stand as they were calibrated.
@@ -30,13 +30,13 @@ const MOST_BYTES: u64 = 16 << 20;
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// None has moved what it sees by more than half of what it may.
+    /// No device has moved what it sees by more than half of the limit.
     Stands,
-    /// One has, but not surely by more than it may.
+    /// A device has moved what it sees by more than half of the limit, but not certainly by more than the limit.
     Turned,
-    /// One has surely moved what it sees by more than it may: calibrate again.
+    /// A device has certainly moved what it sees by more than the limit: calibrate again.
     CalibrateAgain,
-    /// The session does not tell it of every device.
+    /// The session does not determine it for every device.
     NotKnown,
 }
 
@@ -53,29 +53,27 @@ pub struct DeviceTurn {
     pub at_body_sigma_mm: f64,
 }
 
-/// What the check of one session has said.
+/// What the check of one session has found.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Checked {
     /// When the session was recorded, host clock, ns; 0 where that is not known.
     pub recorded_ns: u64,
-    /// Its name.
     pub session: String,
-    /// The id that its recordings share.
+    /// The session id that its recordings share.
     pub session_id: String,
-    /// The calibration, all of it.
+    /// Checksum of the whole calibration, in hexadecimal.
     pub calibration_sha256: String,
-    /// What it comes to.
     pub verdict: Verdict,
-    /// The same in a sentence.
+    /// The verdict in a sentence, for people.
     pub said: String,
-    /// What a device may have moved, mm.
+    /// How far a device may have moved what it sees, mm.
     pub most_mm: f64,
     /// The calibration's devices; none where they were not measured.
     pub devices: Vec<DeviceTurn>,
 }
 
 impl Checked {
-    /// Adds what was measured.
+    /// Adds the turns that were measured, and their verdict.
     pub fn measured(mut self, drift: &Drift) -> Self {
         let rounded = |x: f64| (x * 1e4).round() / 1e4;
         let turn = |turn: &super::Turn| DeviceTurn {
@@ -94,7 +92,7 @@ impl Checked {
     }
 }
 
-/// A directory with a history, which this process alone may write.
+/// A directory with a history, which this process alone may write until it drops this.
 pub struct History {
     dir: PathBuf,
     _lock: File,
@@ -107,7 +105,7 @@ impl History {
         let lock = regular::lock_file(&dir.join(LOCK))?;
         lock.lock()?;
         let history = Self { dir: dir.to_owned(), _lock: lock };
-        // What a process has left that was killed.
+        // The scratch files of a check that was killed.
         match std::fs::remove_dir_all(history.scratch()) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
             _ => Ok(history),
@@ -119,7 +117,7 @@ impl History {
         self.dir.join(SCRATCH)
     }
 
-    /// Adds what was said of a session; what was said of it with the same calibration gives way.
+    /// Adds the check of a session; an earlier check of it with the same calibration is replaced.
     pub fn add(&self, checked: Checked) -> io::Result<()> {
         let mut all = load(&self.dir);
         let same = |other: &Checked| {
@@ -141,7 +139,7 @@ impl History {
 pub fn load(dir: &Path) -> Vec<Checked> {
     let mut bytes = Vec::new();
     let Ok(file) = regular::open(&dir.join(LINES)) else { return Vec::new() };
-    // What was read before an error is as good as a torn file.
+    // Lines that were read before an error are as good as those of a torn file.
     let _ = file.take(MOST_BYTES).read_to_end(&mut bytes);
     bytes.split(|byte| *byte == b'\n').filter_map(|line| json::from_slice(line).ok()).collect()
 }
@@ -158,7 +156,7 @@ mod tests {
             session_id: format!("{number:016x}"),
             calibration_sha256: "c0".repeat(32),
             verdict: Verdict::Stands,
-            said: "devices stand".to_owned(),
+            said: "no device has moved".to_owned(),
             most_mm: 0.2,
             devices: vec![DeviceTurn {
                 device: "camera h0_<up>".to_owned(),

@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! How far each device of a rig has turned since it was calibrated, from phase maps of whatever stood in the volume.
 //!
-//! Where two cameras see one place, the phase that one has there says where it is, and the other one's phase must be that which its
-//! projector casts there. Devices turn about their centres by small angles; those that explain the differences best are found by
-//! weighted least squares (Gauss and Newton's steps, Cauchy's weights). That a device stands as calibrated, give or take
-//! [`PRIOR_DEG`], is known beforehand, so that what the body does not tell stays near zero, with an uncertainty that says so.
+//! Where two cameras see one place, the phase of the first camera gives the place in space. The phase of the second
+//! camera must then be the one that its projector casts there. Devices turn about their centres by small angles. The
+//! angles that explain the differences best are found by weighted least squares (Gauss and Newton's steps, Cauchy's
+//! weights).
+//!
+//! Each angle is 0 beforehand, with a standard deviation of [`PRIOR_DEG`]. A turn that the body does not determine
+//! therefore stays near 0, with a large uncertainty.
 
 pub mod history;
 mod plot;
@@ -13,6 +16,7 @@ mod sightings;
 mod tests;
 
 use crate::data::{Calibration, PhaseMap};
+use crate::estimate::median;
 use crate::geometry::{Device, Pose};
 use history::Verdict;
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
@@ -20,34 +24,34 @@ use serde::Serialize;
 use sightings::{Sighting, distance, place};
 use std::fmt;
 
-/// Mounts turn by so much, as a rule: standard deviation of each angle, degree.
+/// Standard deviation of each angle beforehand, degree: what mounts turn by, as a rule.
 const PRIOR_DEG: f64 = 0.01;
 
-/// Places near each other err alike: the standard deviations are so many times those of places that each err for themselves.
+/// Neighbouring places have common errors: standard deviations are this many times those of independent places.
 const ALIKE: f64 = 5.0;
 
-/// Differences of two cameras scatter by so much at least, rad.
+/// Least scatter that the differences of two cameras are taken to have, rad.
 const LEAST_SCALE_RAD: f64 = 0.01;
 
-/// Steps of the search.
+/// Steps of the search, each with weights from the differences that the last one left.
 const ROUNDS: usize = 6;
 
-/// Fewer places say nothing about a rig.
+/// Fewest places from which the turns of a rig are estimated.
 const LEAST_SIGHTINGS: usize = 500;
 
-/// More are not needed.
+/// Most places that are used, evenly spread: more add nothing but time.
 const MOST_SIGHTINGS: usize = 60_000;
 
-/// What is not this many times its own uncertainty may be nothing.
+/// A move is certain when it is this many times its own standard deviation.
 const SURE: f64 = 4.0;
 
-/// A device with a larger uncertainty, so many times, than what it may move is not known.
+/// A device is not known when this many standard deviations are more than its limit.
 const UNSURE: f64 = 2.0;
 
-/// A device that has moved this share of what it may has turned.
+/// A device counts as turned from this share of its limit on.
 const TURNED_SHARE: f64 = 0.5;
 
-/// An angle to differentiate by, rad.
+/// Angle by which devices are turned to differentiate numerically, rad.
 const STEP_RAD: f64 = 1e-5;
 
 /// By how much one device has turned about its centre.
@@ -59,9 +63,9 @@ pub struct Turn {
     pub turn_deg: [f64; 3],
     /// Standard deviations of these, degree.
     pub sigma_deg: [f64; 3],
-    /// The angle, degree.
     pub angle_deg: f64,
-    /// How far that moves what it sees in the middle of the volume, or what a projector lights there, across its fringes, mm.
+    /// How far that moves what it sees in the middle of the volume, or what a projector lights there, across its
+    /// fringes, mm.
     pub at_body_mm: f64,
     /// Standard deviation of that, mm.
     pub at_body_sigma_mm: f64,
@@ -77,7 +81,7 @@ impl fmt::Display for Turn {
     }
 }
 
-/// What the cameras say about all devices.
+/// How far all devices of a rig have turned, as the cameras of a session show it. `estimate` makes it from phase maps.
 #[derive(Debug, Clone, Serialize)]
 pub struct Drift {
     /// Cameras in the calibration's order, then projectors.
@@ -89,13 +93,13 @@ pub struct Drift {
 }
 
 impl Drift {
-    /// The devices that have surely moved what they see by more than so many mm.
+    /// The devices that have certainly moved what they see by more than `most_mm`.
     pub fn moved(&self, most_mm: f64) -> Vec<&Turn> {
         let sure = |turn: &&Turn| turn.at_body_mm > SURE * turn.at_body_sigma_mm;
         self.devices.iter().filter(|turn| turn.at_body_mm > most_mm).filter(sure).collect()
     }
 
-    /// What it comes to where a device may move what it sees by so many mm, and the same in a sentence.
+    /// The verdict where a device may move what it sees by `most_mm`, and the same in a sentence.
     pub fn verdict(&self, most_mm: f64) -> (Verdict, String) {
         let far = |a: &&Turn, b: &&Turn| a.at_body_mm.total_cmp(&b.at_body_mm);
         let moved = self.moved(most_mm);
@@ -106,31 +110,31 @@ impl Drift {
             };
             return (
                 Verdict::CalibrateAgain,
-                format!("calibrate again: {furthest}{others}; {most_mm} may be"),
+                format!("calibrate again: {furthest}{others}; the limit is {most_mm} mm"),
             );
         }
         let vague = |turn: &Turn| UNSURE * turn.at_body_sigma_mm > most_mm;
         let vague: Vec<&str> = self.devices.iter().filter(|x| vague(x)).map(|x| x.device.as_str()).collect();
         if !vague.is_empty() {
             let which = vague.join(", ");
-            let said = format!(
-                "the session does not tell {most_mm} mm of {which}: record a body that all heads see"
+            let sentence = format!(
+                "the session cannot show a move of {most_mm} mm of {which}: record a body that all heads see"
             );
-            return (Verdict::NotKnown, said);
+            return (Verdict::NotKnown, sentence);
         }
         match self.devices.iter().max_by(far) {
             Some(furthest) if furthest.at_body_mm > TURNED_SHARE * most_mm => {
-                (Verdict::Turned, format!("{furthest}; {most_mm} may be"))
+                (Verdict::Turned, format!("{furthest}; the limit is {most_mm} mm"))
             }
             furthest => {
-                let furthest = furthest.map_or_else(String::new, |x| format!("; most of all, {x}"));
-                (Verdict::Stands, format!("devices stand{furthest}"))
+                let furthest = furthest.map_or_else(String::new, |x| format!("; the most is: {x}"));
+                (Verdict::Stands, format!("no device has moved by half the limit of {most_mm} mm{furthest}"))
             }
         }
     }
 
-    /// The same of what another calibration says, after this one was corrected step by step: all turns from that one, as sure as the
-    /// last.
+    /// These turns counted from another calibration, from which `corrected` came step by step. Uncertainties are those
+    /// of the last step.
     pub fn since(mut self, first: &Calibration, corrected: &Calibration, first_rad: f64) -> Self {
         let (from, to) = (Search::new(first), Search::new(corrected));
         for (i, device) in self.devices.iter_mut().enumerate() {
@@ -142,7 +146,7 @@ impl Drift {
         self
     }
 
-    /// The calibration with these turns, which says where it is from.
+    /// The calibration with these turns; its origin names the session they were seen in.
     pub fn corrected(&self, calibration: &Calibration, seen_in: &str) -> Calibration {
         let mut corrected = calibration.clone();
         let mut turns = self.devices.iter().map(|device| Vector3::from(device.turn_deg.map(f64::to_radians)));
@@ -207,7 +211,7 @@ pub fn estimate(
 
 struct Search<'a> {
     calibration: &'a Calibration,
-    /// Cameras, then projectors.
+    /// All cameras of the calibration, then its projectors.
     devices: Vec<Device>,
     /// Of each camera, its projector's place among the devices.
     projector: Vec<usize>,
@@ -223,7 +227,7 @@ impl<'a> Search<'a> {
         Self { calibration, devices: devices.cloned().collect(), projector: projector.collect() }
     }
 
-    /// The devices that a sighting hangs on: its camera and that one's projector, the other camera and that one's.
+    /// The devices that a sighting depends on: its camera and that one's projector, the other camera and that one's.
     fn of(&self, s: &Sighting) -> [usize; 4] {
         [s.camera, self.projector[s.camera], s.other, self.projector[s.other]]
     }
@@ -315,7 +319,7 @@ impl<'a> Search<'a> {
         let (min, max) = (self.calibration.volume_min_m, self.calibration.volume_max_m);
         let middle = (Vector3::from(min) + Vector3::from(max)) / 2.0;
         let from = self.devices[device].world_from_device.isometry().inverse_transform_point(&middle.into());
-        // Along its fringes a projector's light may move as it likes: nobody measures with that, or sees it.
+        // A projector whose light moves along its fringes changes no phase, and so no point.
         let matters = |shift: Vector3<f64>| if device < cameras { shift.norm() } else { shift.x.abs() };
         let axes = [Vector3::x(), Vector3::y(), Vector3::z()];
         let sigmas = axes.iter().zip(sigma).map(|(axis, sigma)| matters(axis.cross(&from.coords)) * sigma);
@@ -332,7 +336,6 @@ impl<'a> Search<'a> {
 
 /// 1.4826 times the median of the sizes, rad.
 fn scale(differences: &[Option<f64>]) -> f64 {
-    let mut sizes: Vec<f64> = differences.iter().flatten().map(|x| x.abs()).collect();
-    sizes.sort_unstable_by(f64::total_cmp);
-    sizes.get(sizes.len() / 2).map_or(LEAST_SCALE_RAD, |median| (1.4826 * median).max(LEAST_SCALE_RAD))
+    // Without any differences this is the least: `max` leaves out NaN.
+    (1.4826 * median(differences.iter().flatten().map(|x| x.abs()))).max(LEAST_SCALE_RAD)
 }

@@ -2,9 +2,11 @@
 //! The plot of a history of checks, SVG: how far each device has moved what it sees, over time.
 
 use super::history::{Checked, Verdict};
-use crate::report::{COLOURS, escape};
+use crate::base::print::html;
+use crate::base::time::utc_day;
+use crate::report::COLOURS;
 use std::collections::BTreeMap;
-use std::fmt::Write;
+use std::fmt::{Display, Write};
 
 /// The picture and the frame in it, px.
 const SIZE: [f64; 2] = [1000.0, 440.0];
@@ -12,7 +14,7 @@ const LEFT: f64 = 64.0;
 const TOP: f64 = 40.0;
 const RIGHT: f64 = 760.0;
 const BOTTOM: f64 = 390.0;
-/// What may be reached lies so high, where nothing is higher.
+/// The plot's height over the limit, where no device has moved further.
 const ROOM: f64 = 1.5;
 
 /// The plot; sessions in the order of their recording.
@@ -29,22 +31,32 @@ pub(super) fn svg(history: &[Checked]) -> String {
     );
     plot.axes(&mut out, history);
     plot.calibrations(&mut out, history);
-    // Writing into a String cannot fail.
-    for (number, (device, name)) in plot.devices.iter().map(|name| (*name, escape(name))).enumerate() {
+    for (number, device) in plot.devices.iter().enumerate() {
         plot.device(&mut out, history, device);
         let last = history.iter().rev().find_map(|one| moved(one, device)).unwrap_or(0.0);
         let (colour, dashes) = plot.style(device);
         let y = TOP + 12.0 + 22.0 * number as f64;
-        let _ = write!(
-            out,
-            "<path d=\"M{} {}h24\" stroke=\"{colour}\" stroke-width=\"2\"{dashes}/><text x=\"{}\" y=\"{y}\">{name}: {last:.3}</text>",
-            RIGHT + 20.0,
-            y - 4.0,
-            RIGHT + 52.0
-        );
+        let line = format!("M{} {}h24", RIGHT + 20.0, y - 4.0);
+        path(&mut out, &line, format_args!(" stroke=\"{colour}\" stroke-width=\"2\"{dashes}"));
+        text(&mut out, [RIGHT + 52.0, y], "", format_args!("{}: {last:.3}", html(device)));
     }
     out.push_str("</svg>\n");
     out
+}
+
+/// A path with these attributes. Writing into a String cannot fail.
+fn path(out: &mut String, data: &str, attributes: impl Display) {
+    let _ = write!(out, "<path d=\"{data}\"{attributes}/>");
+}
+
+/// A text at (x, y), px, with these attributes.
+fn text(out: &mut String, [x, y]: [f64; 2], attributes: impl Display, content: impl Display) {
+    let _ = write!(out, "<text x=\"{}\" y=\"{}\"{attributes}>{content}</text>", tenths(x), tenths(y));
+}
+
+/// A coordinate, px, to a tenth.
+fn tenths(px: f64) -> f64 {
+    (px * 10.0).round() / 10.0
 }
 
 fn moved(one: &Checked, device: &str) -> Option<f64> {
@@ -90,7 +102,7 @@ impl<'a> Plot<'a> {
         BOTTOM - (mm / self.most_mm).min(1.0) * (BOTTOM - TOP)
     }
 
-    /// A camera has a colour, the projectors the same ones with dashes.
+    /// Colour and dashes of a device's line: each camera has a colour, and projectors have the same colours, dashed.
     fn style(&self, device: &str) -> (&'static str, &'static str) {
         let kind = |name: &str| name.split(' ').next().unwrap_or_default().to_owned();
         let alike = self.devices.iter().filter(|name| kind(name) == kind(device));
@@ -100,60 +112,37 @@ impl<'a> Plot<'a> {
     }
 
     fn axes(&self, out: &mut String, history: &[Checked]) {
-        let _ = write!(out, "<path d=\"M{LEFT} {TOP}V{BOTTOM}H{RIGHT}\" fill=\"none\" stroke=\"#222\"/>");
+        path(out, &format!("M{LEFT} {TOP}V{BOTTOM}H{RIGHT}"), " fill=\"none\" stroke=\"#222\"");
         for fifth in 0..=5 {
             let mm = self.most_mm * f64::from(fifth) / 5.0;
-            let y = self.y(mm);
-            let _ = write!(
-                out,
-                "<text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{mm:.2}</text>",
-                LEFT - 8.0,
-                y + 4.0
-            );
+            let at = [LEFT - 8.0, self.y(mm) + 4.0];
+            text(out, at, " text-anchor=\"end\"", format_args!("{mm:.2}"));
         }
-        for (ns, anchor) in [(self.from_ns, "start"), (self.to_ns, "end")] {
-            let x = if anchor == "start" { LEFT } else { RIGHT };
-            let day = day(ns);
-            let _ = write!(
-                out,
-                "<text x=\"{x}\" y=\"{}\" text-anchor=\"{anchor}\">{day} UTC</text>",
-                BOTTOM + 34.0
-            );
+        for (ns, x, anchor) in [(self.from_ns, LEFT, "start"), (self.to_ns, RIGHT, "end")] {
+            let attributes = format_args!(" text-anchor=\"{anchor}\"");
+            text(out, [x, BOTTOM + 34.0], attributes, format_args!("{} UTC", utc_day(ns)));
         }
         if let Some(last) = history.last() {
             let y = self.y(last.most_mm);
-            let _ = write!(
-                out,
-                "<path d=\"M{LEFT} {y:.1}H{RIGHT}\" stroke=\"#b00\" stroke-dasharray=\"2 3\"/>\
-                 <text x=\"{}\" y=\"{:.1}\" fill=\"#b00\">{} mm: calibrate again</text>",
-                LEFT + 6.0,
-                y - 5.0,
-                last.most_mm
-            );
+            path(out, &format!("M{LEFT} {y:.1}H{RIGHT}"), " stroke=\"#b00\" stroke-dasharray=\"2 3\"");
+            let content = format_args!("{} mm: calibrate again", last.most_mm);
+            text(out, [LEFT + 6.0, y - 5.0], " fill=\"#b00\"", content);
         }
         for one in history.iter().filter(|one| one.verdict == Verdict::NotKnown) {
-            let x = self.x(one.recorded_ns);
-            let _ = write!(
-                out,
-                "<text x=\"{x:.1}\" y=\"{}\" text-anchor=\"middle\" fill=\"#777\">?</text>",
-                BOTTOM + 16.0
-            );
+            let at = [self.x(one.recorded_ns), BOTTOM + 16.0];
+            text(out, at, " text-anchor=\"middle\" fill=\"#777\"", "?");
         }
     }
 
-    /// Where another calibration begins.
+    /// Marks the sessions from which on another calibration was checked.
     fn calibrations(&self, out: &mut String, history: &[Checked]) {
         for pair in history.windows(2).filter(|pair| pair[0].calibration_sha256 != pair[1].calibration_sha256)
         {
             let x = self.x(pair[1].recorded_ns);
             let short: String = pair[1].calibration_sha256.chars().take(8).collect();
-            let _ = write!(
-                out,
-                "<path d=\"M{x:.1} {TOP}V{BOTTOM}\" stroke=\"#999\"/>\
-                 <text x=\"{x:.1}\" y=\"{}\" text-anchor=\"middle\" fill=\"#555\" font-size=\"11\">{}</text>",
-                TOP - 3.0,
-                escape(&short)
-            );
+            path(out, &format!("M{x:.1} {TOP}V{BOTTOM}"), " stroke=\"#999\"");
+            let attributes = " text-anchor=\"middle\" fill=\"#555\" font-size=\"11\"";
+            text(out, [x, TOP - 3.0], attributes, html(&short));
         }
     }
 
@@ -169,33 +158,8 @@ impl<'a> Plot<'a> {
             let _ = write!(out, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"2.5\" fill=\"{colour}\"/>");
         }
         for line in lines.values() {
-            let _ = write!(
-                out,
-                "<path d=\"{line}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"{dashes}/>"
-            );
+            let style = format_args!(" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"{dashes}");
+            path(out, line, style);
         }
-    }
-}
-
-/// The day of a host time, UTC: years, months and days of the Gregorian calendar, counted from a first of March.
-fn day(ns: u64) -> String {
-    let days = ns / 86_400_000_000_000 + 719_468;
-    let (era, of_era) = (days / 146_097, days % 146_097);
-    let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month = (5 * of_year + 2) / 153;
-    let (day, month) = (of_year - (153 * month + 2) / 5 + 1, if month < 10 { month + 3 } else { month - 9 });
-    format!("{}-{month:02}-{day:02}", era * 400 + year_of_era + u64::from(month <= 2))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::day;
-
-    #[test]
-    fn days_are_those_of_the_calendar() {
-        let of = |s: u64| day(s * 1_000_000_000);
-        assert_eq!([of(0), of(951_782_400), of(1_735_689_599)], ["1970-01-01", "2000-02-29", "2024-12-31"]);
-        assert_eq!([of(1_740_787_200), of(1_735_689_600)], ["2025-03-01", "2025-01-01"]);
     }
 }

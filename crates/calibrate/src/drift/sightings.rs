@@ -15,9 +15,9 @@ pub(super) struct Sighting {
     pub sight: Vector3<f64>,
     /// Its distance from the camera by the calibration, m.
     pub distance_m: f64,
-    /// Absolute phase there, rad.
+    /// Absolute phase of the camera at that pixel, rad.
     pub phase: f64,
-    /// The other camera.
+    /// The other camera, by its place in the calibration.
     pub other: usize,
     /// Where that one sees the place by the calibration, px.
     pub at: [f64; 2],
@@ -26,17 +26,17 @@ pub(super) struct Sighting {
     pub other_slope: [f64; 2],
 }
 
-/// A pixel in so many is a place, along rows and columns: neighbours have much of their error in common.
+/// Distance of the places that are compared, along rows and columns, px: neighbours have most of their error in common.
 const STEP_PX: usize = 24;
 
-/// Where two cameras differ by more they see two surfaces, or one is a fringe off, rad.
+/// Largest difference of two cameras that counts, rad: beyond it they see two surfaces, or one is a fringe off.
 const SAME_SURFACE_RAD: f64 = 1.5;
 
 /// The phases of one camera, pixel by pixel.
 struct Phases {
     width: usize,
     height: usize,
-    /// In steps; [`NONE`] where there is none.
+    /// Phase of each pixel in steps; [`NONE`] where there is none.
     steps: Vec<i32>,
 }
 
@@ -80,7 +80,8 @@ impl Phases {
     }
 }
 
-/// A phase (rad), its slopes along rows and columns (rad/px) and how these change: along rows, along columns, both (rad/px^2).
+/// A phase (rad), its slopes along rows and columns (rad/px) and how these change: along rows, along columns, both
+/// (rad/px^2).
 struct Paraboloid {
     phase: f64,
     slope: [f64; 2],
@@ -88,7 +89,7 @@ struct Paraboloid {
 }
 
 impl Paraboloid {
-    /// Phase and slopes so far beside its middle, px.
+    /// Phase and slopes at a distance (x, y) from its middle, px.
     fn beside(&self, [x, y]: [f64; 2]) -> (f64, [f64; 2]) {
         let [xx, yy, xy] = self.bend;
         let [sx, sy] = self.slope;
@@ -97,8 +98,8 @@ impl Paraboloid {
     }
 }
 
-/// The point on a camera's line of sight that a column of its projector lights: its distance, m. `sight` in camera axes, from near
-/// `start_m` on.
+/// The point on a camera's line of sight that a column of its projector lights: its distance, m. `sight` in camera
+/// axes, from near `start_m` on.
 pub(super) fn distance(
     camera: &Device,
     projector: &Device,
@@ -128,53 +129,40 @@ pub(super) fn place(camera: &Device, sight: &Vector3<f64>, distance_m: f64) -> P
     camera.centre() + camera.world_from_device.isometry().rotation * sight * distance_m
 }
 
-/// All of one instant. Maps by their camera's place in the calibration.
+/// All sightings of one instant. Maps come with their camera's place in the calibration.
 pub(super) fn of(calibration: &Calibration, maps: &[(usize, PhaseMap)]) -> Vec<Sighting> {
     let cameras: Vec<_> = calibration.cameras().collect();
     let phases: Vec<(usize, Phases)> = maps.iter().map(|(camera, map)| (*camera, Phases::new(map))).collect();
     let middle = (Vector3::from(calibration.volume_min_m) + Vector3::from(calibration.volume_max_m)) / 2.0;
+    let grid = |size: usize| (STEP_PX / 2..size).step_by(STEP_PX);
     let mut found = Vec::new();
-    for (number, own) in &phases {
-        let (head, camera) = &cameras[*number];
-        let device = &camera.device;
+    for &(camera, ref own) in &phases {
+        let (head, device) = (cameras[camera].0, &cameras[camera].1.device);
         let start_m = (device.centre().coords - middle).norm();
-        for v in (STEP_PX / 2..own.height).step_by(STEP_PX) {
-            for u in (STEP_PX / 2..own.width).step_by(STEP_PX) {
-                let Some(Paraboloid { phase, .. }) = own.around(u, v) else { continue };
-                let Some([x, y]) = device.lens.undistort(u as f64, v as f64) else { continue };
+        for (u, v) in grid(own.height).flat_map(|v| grid(own.width).map(move |u| (u, v))) {
+            let located = || {
+                let phase = own.around(u, v)?.phase;
+                let [x, y] = device.lens.undistort(u as f64, v as f64)?;
                 let sight = Vector3::new(x, y, 1.0).normalize();
                 let column = calibration.pattern.column(phase);
-                let Some(distance_m) = distance(device, &head.projector, &sight, column, start_m) else {
-                    continue;
-                };
-                let point = place(device, &sight, distance_m);
-                for (other, theirs) in phases.iter().filter(|x| x.0 != *number) {
-                    let (head, camera) = &cameras[*other];
-                    let Some(at) = camera.device.project(&point).filter(|at| camera.device.contains(*at))
-                    else {
-                        continue;
-                    };
-                    let nearest = at.map(|x| x.round().max(0.0) as usize);
-                    let Some(seen) = theirs.around(nearest[0], nearest[1]) else { continue };
-                    let Some([column, _]) = head.projector.project(&point) else { continue };
-                    let beside = [at[0] - nearest[0] as f64, at[1] - nearest[1] as f64];
-                    let (other_phase, other_slope) = seen.beside(beside);
-                    if (other_phase - calibration.pattern.phase(column)).abs() < SAME_SURFACE_RAD {
-                        let (camera, other) = (*number, *other);
-                        let sighting = Sighting {
-                            camera,
-                            sight,
-                            distance_m,
-                            phase,
-                            other,
-                            at,
-                            other_phase,
-                            other_slope,
-                        };
-                        found.push(sighting);
-                    }
-                }
-            }
+                Some((phase, sight, distance(device, &head.projector, &sight, column, start_m)?))
+            };
+            let Some((phase, sight, distance_m)) = located() else { continue };
+            let point = place(device, &sight, distance_m);
+            let seen_by = |&(other, ref theirs): &(usize, Phases)| {
+                let (head, device) = (cameras[other].0, &cameras[other].1.device);
+                let at = device.project(&point).filter(|at| device.contains(*at))?;
+                let nearest = at.map(|x| x.round().max(0.0) as usize);
+                let seen = theirs.around(nearest[0], nearest[1])?;
+                let [column, _] = head.projector.project(&point)?;
+                let beside = [at[0] - nearest[0] as f64, at[1] - nearest[1] as f64];
+                let (other_phase, other_slope) = seen.beside(beside);
+                let same = (other_phase - calibration.pattern.phase(column)).abs() < SAME_SURFACE_RAD;
+                let sighting =
+                    Sighting { camera, sight, distance_m, phase, other, at, other_phase, other_slope };
+                same.then_some(sighting)
+            };
+            found.extend(phases.iter().filter(|x| x.0 != camera).filter_map(seen_by));
         }
     }
     found

@@ -90,7 +90,7 @@ fn known_turns_are_found_where_they_matter() {
         let seen = photographed(&with_turns(&rig, &turns));
         let drift = estimate(&rig, std::iter::once(seen)).expect("enough places");
         assert!(drift.differ_rad[1] <= 0.011 && drift.differ_rad[0] > 2.0 * drift.differ_rad[1], "{drift:?}");
-        // What a ball does not tell (a turn about the line to it, for instance) moves nothing there.
+        // A turn that a ball does not determine (about the line to it, for instance) moves nothing there.
         let found = drift.devices.iter().map(|device| Vector3::from(device.turn_deg.map(f64::to_radians)));
         for ((found, turn), device) in found.zip(&turns).zip(&drift.devices) {
             let off = (found - turn).norm().to_degrees();

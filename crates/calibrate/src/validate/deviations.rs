@@ -4,9 +4,7 @@
 /// Mean, RMS and the like of signed deviations.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Deviations {
-    /// Number of values.
     pub points: usize,
-    /// Their mean, mm.
     pub mean_mm: f64,
     /// Root of their mean square, mm.
     pub rms_mm: f64,
@@ -14,7 +12,7 @@ pub struct Deviations {
     pub robust_mm: f64,
     /// 95th percentile of their sizes, mm.
     pub p95_mm: f64,
-    /// Largest size, mm.
+    /// Size of the largest deviation, mm.
     pub peak_mm: f64,
 }
 

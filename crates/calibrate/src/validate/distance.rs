@@ -2,12 +2,12 @@
 //! Distances between the outermost circles on both diagonals of the board (paper, 5.1, step 2).
 //!
 //! As the paper has it, the distance of two circles is the mean of that between the points on their outer edges and
-//! that between the points on their inner edges, on the line through their middles. Edges are found in the image grid of
-//! the cloud; their points lie on the surface that the cloud's points around the circle make (points whose fringe window
-//! a circle reaches are not taken for it).
+//! that between the points on their inner edges, on the line through their middles. Edges are found in the image grid
+//! of the cloud; their points lie on the surface that the cloud's points around the circle make (points whose fringe
+//! window a circle reaches are not taken for it).
 //!
-//! The outermost circle at a corner of the board is the nearest one to that corner that all cameras of the head see whole;
-//! it is named by column and row. The distance of the two is held against the board's own.
+//! The outermost circle at a corner of the board is the nearest one to that corner that all cameras of the head see
+//! whole; it is named by column and row. The distance of the two is compared with the board file's.
 
 use super::edge::{self, Edge};
 use super::ring::{Organized, Ring};
@@ -24,7 +24,6 @@ const TRIED: usize = 8;
 /// What one camera has of the board.
 #[derive(Debug, Clone, Copy)]
 pub struct Sight<'a> {
-    /// Its cloud.
     pub cloud: &'a Organized<'a>,
     /// What lights it, where the calibration is known.
     pub light: Option<Light<'a>>,
@@ -39,26 +38,26 @@ pub struct Diagonals {
     pub ends: [[[usize; 2]; 2]; 2],
     /// Mean of outer and inner distance of each diagonal, mean of the cameras, mm.
     pub diagonal_mm: [f64; 2],
-    /// What the board says, mm.
+    /// The same distances in the board file, mm.
     pub board_mm: [f64; 2],
-    /// Measured minus board, mm.
+    /// Measured distance minus the board file's, mm.
     pub error_mm: [f64; 2],
     /// The errors of each camera alone, mm.
     pub error_of_camera_mm: Vec<[f64; 2]>,
     /// Where each camera has the middles of the ends, world, m: by camera, diagonal and end.
     pub ends_m: Vec<[[[f64; 3]; 2]; 2]>,
-    /// Outer distance minus inner distance minus twice the board's diameters, mean of the cameras, mm: what the
-    /// edges are worth.
+    /// Outer distance minus inner distance minus twice the board's diameters, mean of the cameras, mm: it
+    /// measures the error of the edges.
     pub edges_mm: [f64; 2],
     /// Root mean square of what the edges' models leave, as a share of the light.
     pub edge_rms: f64,
 }
 
-/// Measures both diagonals with all cameras of a head; an error says what is not seen.
+/// Measures both diagonals with all cameras of a head. The error names what is not seen.
 pub fn diagonals(sights: &[Sight<'_>], board: &Board) -> Result<Diagonals, String> {
     let mut rings: Vec<Vec<Ring>> = Vec::new();
     for sight in sights {
-        rings.push(sight.cloud.circles(board).map_err(|e| e.to_string())?);
+        rings.push(sight.cloud.circles(board)?);
     }
     let (right, top) = (board.columns - 1, board.rows - 1);
     let corners = [[0, 0], [right, top], [right, 0], [0, top]];

@@ -2,16 +2,17 @@
 //! The edge of one circle, to some hundredths of a pixel.
 //!
 //! A directional cloud has no points in a black circle, and its intensities are means over one fringe period along u,
-//! so that neither shows the edge itself. Both are explained, though, by a circle on the surface that the fringes light:
-//! light = (plane of light) * (1 - c + c * pattern) * (1 - k * circle), seen through the same window as the intensities.
-//! Where the circle lies is what explains them best (Gauss and Newton, weights for outliers). The pattern at each
-//! pixel comes from the calibration; without one it is taken as even, which costs some tenths of a millimetre.
+//! so that neither shows the edge itself. Both are explained, though, by a circle on the surface that the fringes
+//! light: light = (plane of light) * (1 - c + c * pattern) * (1 - k * circle), seen through the same window as the
+//! intensities. Where the circle lies is what explains them best (Gauss and Newton, weights for outliers). The pattern
+//! at each pixel comes from the calibration; without one it is taken as even, which costs some tenths of a millimetre.
 //!
 //! Where the photograph is at hand its grey levels take the place of the intensities, without a window, and with the
 //! inside of the circle.
 
 use super::ring::{Organized, Ring, Surface};
 use crate::base::image::{Mono8, Plane};
+use crate::estimate::median;
 use crate::geometry::Device;
 use crate::geometry::pattern::Pattern;
 use nalgebra::{SMatrix, SVector, Vector3};
@@ -26,15 +27,15 @@ const PIXEL_PX: f64 = 0.29;
 const BLUR_PX: f64 = 0.6;
 /// Reach of the blur's kernel, px.
 const BLUR_REACH: usize = 2;
-/// What a black circle takes from the light, where that is not seen.
+/// Share of the light that a black circle takes, where the inside of the circle is not seen.
 const BLACK: f64 = 0.95;
-/// Period of the fringes where nothing tells it, px.
+/// Period of the fringes where there is no calibration, px.
 const PERIOD_PX: f64 = 11.0;
 /// Pixels beyond the circle that are explained with it: along u beside the window, and along v.
 const RIM: f64 = 6.0;
-/// The circle may lie so far from the dark region's middle, as a share of its radius.
+/// Largest distance of the circle's middle from the dark region's middle, as a share of its radius.
 const FURTHEST: f64 = 0.3;
-/// Residuals beyond this, as a share of the light, are not explained.
+/// Largest RMS of the residuals with which an edge is accepted, as a share of the light.
 const WORST_RMS: f64 = 0.06;
 
 /// Most rounds of the search.
@@ -47,9 +48,7 @@ type Unknowns = SVector<f64, UNKNOWNS>;
 /// The head that lights the board.
 #[derive(Debug, Clone, Copy)]
 pub struct Light<'a> {
-    /// Its projector.
     pub projector: &'a Device,
-    /// The pattern.
     pub pattern: &'a Pattern,
 }
 
@@ -65,7 +64,7 @@ pub(super) struct Edge {
     middle: [f64; 2],
     /// Its radius as found, m.
     pub(super) radius_m: f64,
-    /// RMS of what is not explained, as a share of the light.
+    /// RMS of the residuals, as a share of the light.
     pub(super) rms: f64,
 }
 
@@ -93,7 +92,7 @@ impl Edge {
         self.surface.at(pixel).coords
     }
 
-    /// The middle, world, m.
+    /// The middle of the circle, world, m.
     pub(super) fn centre(&self) -> Vector3<f64> {
         self.point(self.middle)
     }
@@ -125,7 +124,7 @@ struct Pixel {
 struct Patch {
     pixels: Plane<u32>,
     list: Vec<Pixel>,
-    /// What is to be explained: place in the patch and value.
+    /// The measured values that are explained, each with its place in the patch.
     seen: Vec<([usize; 2], f64)>,
     /// Whether what is seen went through the window of one period.
     windowed: bool,
@@ -157,7 +156,7 @@ pub(super) fn find(
     (fits && rms < WORST_RMS).then_some(edge)
 }
 
-/// Which unknowns what is seen can tell.
+/// Which unknowns are free: contrast with a calibration, blackness with a photograph.
 #[derive(Clone, Copy)]
 struct Free {
     contrast: bool,
@@ -271,9 +270,7 @@ impl Patch {
         for round in 0..ROUNDS {
             let expected = self.expected(&x);
             let rests: Vec<f64> = self.seen.iter().zip(&expected).map(|(s, e)| s.1 - e).collect();
-            let mut sizes: Vec<f64> = rests.iter().map(|r| r.abs()).collect();
-            let middle = sizes.len() / 2;
-            let gate = 3.0 * 1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1 + 1e-4 * level;
+            let gate = 3.0 * 1.4826 * median(rests.iter().map(|r| r.abs())) + 1e-4 * level;
             let mut columns = Vec::new();
             for i in 0..UNKNOWNS {
                 let step = 1e-5 * scales[i];
@@ -294,7 +291,7 @@ impl Patch {
             for i in (0..UNKNOWNS).filter(|i| held[*i]) {
                 normal[(i, i)] = 1.0;
             }
-            // A little damping holds what is hardly seen.
+            // A little damping holds unknowns that the pixels hardly determine.
             let trace = normal.trace() / UNKNOWNS as f64;
             (0..UNKNOWNS).for_each(|i| normal[(i, i)] += 1e-7 * trace);
             let step = normal.cholesky()?.solve(&right);
@@ -311,7 +308,7 @@ impl Patch {
     }
 }
 
-/// A row-major plane after the lens' blur along u (`step` 1) or v (`step` the width); the rim stays as it is.
+/// A row-major plane blurred by the lens along u (`step` 1) or v (`step` the width); the rim keeps its values.
 fn blurred(plane: &[f64], wide: usize, high: usize, step: usize) -> Vec<f64> {
     let weight = |k: usize| (-0.5 * (k as f64 / BLUR_PX).powi(2)).exp();
     let total = 1.0 + 2.0 * (1..=BLUR_REACH).map(weight).sum::<f64>();

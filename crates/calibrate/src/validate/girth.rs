@@ -2,18 +2,19 @@
 //! Girths of a merged cloud at a height (paper, 5.2): the length of the closed contour, and of its convex hull (what a
 //! tape measures).
 //!
-//! Points within [`BAND_M`] of the height are moved to it along the surface that their normals describe. They fall apart
-//! into loops (trunk, arms, legs) where nothing is between them for one to two [`LINK_M`]. Each loop is described by its radius
-//! around a middle as a closed cubic spline of the angle, fitted to all points at once by least squares with outliers
-//! weighted down (Tukey), together with what the radius still changes with height inside the band (slope and
-//! curvature, smooth around the loop). The length is that of the spline.
+//! Points within [`BAND_M`] of the height are moved to it along the surface that their normals describe. They fall
+//! apart into loops (trunk, arms, legs) where nothing is between them for one to two [`LINK_M`]. Each loop is described
+//! by its radius around a middle as a closed cubic spline of the angle, fitted to all points at once by least squares
+//! with outliers weighted down (Tukey), together with what the radius still changes with height inside the band (slope
+//! and curvature, smooth around the loop). The length is that of the spline.
 //!
-//! A contour drawn from noisy point to noisy point is too long, whatever the noise: the spline is not, because each of its
-//! knots averages dozens of points. A weak penalty on its bends closes the gaps that no camera sees.
-//! A loop that a ray from its middle meets more than once (a deep fold) cannot be described so: such rays are
-//! counted (`folded_share`), and the hull alone should be trusted when they are many.
+//! A contour drawn from noisy point to noisy point is too long, whatever the noise: the spline is not, because each of
+//! its knots averages dozens of points. A weak penalty on its bends closes the gaps that no camera sees. A loop that a
+//! ray from its middle meets more than once (a deep fold) cannot be described so: such rays are counted
+//! (`folded_share`), and the hull alone should be trusted when they are many.
 
 use super::plane::convex_hull;
+use crate::estimate::median;
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,7 +24,7 @@ use std::f64::consts::TAU;
 pub const BAND_M: f64 = 0.004;
 /// Points in neighbouring cells of this side are of one loop, m: gaps of twice as much always part.
 pub const LINK_M: f64 = 0.01;
-/// Where the surface lies flatter than this (|normal's z|), it says nothing about the contour.
+/// Largest |z| of a normal that counts: a flatter surface does not determine the contour.
 const FLATTEST: f32 = 0.85;
 /// Fewest points of a loop.
 const LEAST_POINTS: usize = 150;
@@ -43,9 +44,7 @@ const FOLD_M: f64 = 0.01;
 /// A point of the surface: where it is, and its unit normal.
 #[derive(Debug, Clone, Copy)]
 pub struct SurfacePoint {
-    /// World, m.
     pub position_m: [f32; 3],
-    /// Unit, outwards.
     pub normal: [f32; 3],
 }
 
@@ -103,7 +102,7 @@ fn flatten(point: &SurfacePoint, height_m: f64) -> Option<Flat> {
     Some(Flat { place: [x + factor * nx, y + factor * ny], rise })
 }
 
-/// Points that hang together over neighbouring cells.
+/// The points of each group of connected cells.
 fn components(points: &[Flat]) -> Vec<Vec<Flat>> {
     let cell = |p: &Flat| p.place.map(|x| (x / LINK_M).floor() as i64);
     let mut cells: BTreeMap<[i64; 2], Vec<Flat>> = BTreeMap::new();
@@ -246,7 +245,7 @@ fn fit(points: &[Polar], knots: usize) -> Option<Fit> {
         }
         let mean = weights.iter().sum::<f64>() / knots as f64;
         penalize(&mut normal, 0, knots, STIFFNESS * mean);
-        // What the band's height does changes slowly around the loop, and where it is not known it is nothing.
+        // Slope and curvature within the band change slowly around the loop, and are 0 where no point shows them.
         for start in [knots, knots + COARSE_KNOTS] {
             penalize(&mut normal, start, COARSE_KNOTS, mean);
             (start..start + COARSE_KNOTS).for_each(|i| normal[(i, i)] += 1e-3 * mean);
@@ -256,9 +255,7 @@ fn fit(points: &[Polar], knots: usize) -> Option<Fit> {
             row.iter().map(|&(i, a)| a * solution[i]).sum::<f64>() - p.radius
         };
         rests = rows.iter().zip(points).map(|(row, p)| rest(row, p)).collect::<Vec<f64>>();
-        let mut sizes: Vec<f64> = rests.iter().map(|r| r.abs()).collect();
-        let count = sizes.len();
-        let scale = 1.4826 * *sizes.select_nth_unstable_by(count / 2, f64::total_cmp).1 + 1e-7;
+        let scale = 1.4826 * median(rests.iter().map(|r| r.abs())) + 1e-7;
         // The first rounds pull the spline off far outliers with a wider gate.
         let gate = TUKEY * scale * if round < 2 { 2.0 } else { 1.0 };
         let weight = |r: &f64| (1.0 - (r / gate).powi(2)).max(0.0).powi(2);

@@ -6,7 +6,7 @@ use nalgebra::Point3;
 /// Cells per axis: 21 bits of a key each.
 const MOST: f64 = (1 << 20) as f64;
 
-/// Points by cell.
+/// Points sorted by the cubic cell that they lie in.
 #[derive(Debug)]
 pub struct Grid {
     side_m: f64,

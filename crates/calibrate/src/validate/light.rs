@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which pixels of a photograph carry fringes that can be used, told by the photograph and the truth.
+//! Which pixels of a photograph carry usable fringes, by the photograph and the truth.
 //!
 //! A pixel's modulation is the slope of the light on the cosine of the *true* phase, over the pixels of its row that
-//! are within half a fringe of it and on the same lit surface: the fringe's amplitude in DN, whatever any method of
-//! demodulation makes of it. Where the surface ends or its shadow begins within half a fringe, the fringe around the
-//! pixel is not whole; such pixels are told apart, because a method that needs a whole fringe cannot have them.
+//! are within half a fringe of it and on the same lit surface: the fringe's amplitude in DN, independent of the method
+//! of demodulation. Where the surface ends or its shadow begins within half a fringe, the fringe around the
+//! pixel is not whole. Such pixels are counted apart, because a method that needs a whole fringe cannot have them.
 
 use super::truth::{Reference, Truth};
 use crate::base::image::{Mono8, Plane};
@@ -39,20 +39,19 @@ impl Light {
             let found = (image.width(), image.height());
             return Err(format!("expected a photograph of {expected:?} pixels, found {found:?}"));
         }
-        let (lit, points) = (truth.lit(), truth.points());
+        let Truth { lit, points, origin: [left, top], .. } = truth;
         let (width, height) = (lit.width(), lit.height());
         let mut modulation = Plane::filled(width, height, f32::NAN);
         let mut whole = Plane::filled(width, height, 0);
         let pose = reference.camera.world_from_device.isometry();
         let mut phase = vec![f64::NAN; width];
-        let [left, top] = truth.origin();
         for v in 0..height {
             for (u, phase) in phase.iter_mut().enumerate() {
                 let world = pose.transform_point(&Point3::from(points.at(u, v)));
                 let seen = (lit.at(u, v) != 0).then(|| reference.projector.project(&world)).flatten();
                 *phase = seen.map_or(f64::NAN, |[column, _]| reference.pattern.phase(column));
             }
-            let light = &image.row(top + v)[left..left + width];
+            let light = &image.row(*top + v)[*left..*left + width];
             for u in 0..width {
                 if let Some((slope, complete)) = fringe_at(u, &phase, light) {
                     modulation.set(u, v, slope as f32);
@@ -118,21 +117,15 @@ fn fringe_at(u: usize, phase: &[f64], light: &[u8]) -> Option<(f64, bool)> {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Classes([Class; BOUNDS_DN.len()]);
 
+/// Pixels, those with a right point, and those with a wrong one: of all fringes, and of those that are whole.
 #[derive(Debug, Clone, Copy, Default)]
-struct Class {
-    /// Pixels, those with a right point, those with a wrong one.
-    counts: [usize; 3],
-    /// The same where the fringe is whole.
-    whole: [usize; 3],
-}
+struct Class([[usize; 3]; 2]);
 
 impl Classes {
     fn count(&mut self, (modulation, whole): (f32, bool), what: usize) {
-        for (class, bound) in self.0.iter_mut().zip(BOUNDS_DN) {
-            if modulation >= bound {
-                class.counts[what] += 1;
-                class.whole[what] += usize::from(whole);
-            }
+        for (class, _) in self.0.iter_mut().zip(BOUNDS_DN).filter(|(_, bound)| modulation >= *bound) {
+            class.0[0][what] += 1;
+            class.0[1][what] += usize::from(whole);
         }
     }
 
@@ -146,23 +139,21 @@ impl Classes {
         self.count(pixel, if right { 1 } else { 2 });
     }
 
-    /// Adds other counts.
+    /// Adds the counts of another cloud.
     pub(super) fn join(&mut self, other: &Self) {
-        for (mine, theirs) in self.0.iter_mut().zip(&other.0) {
-            let add = |a: &mut [usize; 3], b: &[usize; 3]| a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
-            add(&mut mine.counts, &theirs.counts);
-            add(&mut mine.whole, &theirs.whole);
-        }
+        let mine = self.0.iter_mut().flat_map(|class| class.0.as_flattened_mut());
+        let theirs = other.0.iter().flat_map(|class| class.0.as_flattened());
+        mine.zip(theirs).for_each(|(mine, theirs)| *mine += theirs);
     }
 
     /// The figures, by rising bound; nothing when no photograph was given.
     pub(super) fn score(&self, lit_px: usize) -> Vec<LightScore> {
-        if self.0[0].counts[0] == 0 {
+        if self.0[0].0[0][0] == 0 {
             return Vec::new();
         }
         let share = |part: usize, all: usize| part as f64 / all.max(1) as f64;
         let scores = self.0.iter().zip(BOUNDS_DN).map(|(class, bound)| {
-            let ([pixels, right, wrong], [whole, whole_right, whole_wrong]) = (class.counts, class.whole);
+            let [[pixels, right, wrong], [whole, whole_right, whole_wrong]] = class.0;
             LightScore {
                 min_modulation_dn: bound,
                 share_of_lit: share(pixels, lit_px),
@@ -180,7 +171,7 @@ impl Classes {
 /// Completeness and wrong points where the modulation is at least a bound.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct LightScore {
-    /// The bound, DN.
+    /// Lower bound of the modulation, DN.
     pub min_modulation_dn: f32,
     /// Share of the lit pixels that have it, half a fringe or more in view.
     pub share_of_lit: f64,

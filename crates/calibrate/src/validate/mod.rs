@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Figures of merit of clouds (paper, section 5).
 
-/// Signed deviations as figures.
+/// Signed deviations as figures: mean, RMS, quantiles.
 pub mod deviations;
 /// Distances between the outermost circles on the board's diagonals.
 pub mod distance;
@@ -19,7 +19,7 @@ pub mod plane;
 pub mod ring;
 /// Clouds against a sphere or a mesh.
 pub mod solid;
-/// Distances between points.
+/// Distances between the points of a cloud.
 pub mod spacing;
 /// Clouds against rendered ground truth.
 pub mod truth;

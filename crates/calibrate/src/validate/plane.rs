@@ -23,8 +23,9 @@ pub const DEPTH_M: f64 = 0.1;
 const TRIES: usize = 300;
 /// Points that a first guess is judged by.
 const SAMPLES: usize = 3000;
-/// Cells in which points are counted for the outline, m; one needs [`LEAST_IN_CELL`] points.
+/// Side of the cells in which points are counted for the outline, m.
 const CELL_M: f64 = 0.01;
+/// Fewest points of a cell that belongs to the outline: single stray points do not.
 const LEAST_IN_CELL: usize = 5;
 
 /// A plane in its normal form, with axes along it.
@@ -32,7 +33,6 @@ const LEAST_IN_CELL: usize = 5;
 pub struct Plane {
     /// A point of it: the mean of those that it was fitted to, m.
     pub centre: Point3<f64>,
-    /// Unit normal.
     pub normal: Vector3<f64>,
     /// Unit vectors along it, across each other and across the normal.
     pub axes: [Vector3<f64>; 2],
@@ -100,7 +100,6 @@ impl Plane {
 /// Where the board is: takes board coordinates to the world, and its outer size, m.
 #[derive(Debug, Clone, Copy)]
 pub struct Placed {
-    /// The pose.
     pub world_from_board: Isometry3<f64>,
     /// Outer size along x and y, m.
     pub size_m: [f64; 2],
@@ -118,7 +117,7 @@ pub struct Flatness {
     pub edge: usize,
     /// RMS with those near the edge, mm.
     pub rms_with_edge_mm: f64,
-    /// Points of something else.
+    /// Points that are not of the board.
     pub elsewhere: usize,
     /// Share of all points on the board that count.
     pub used_share: f64,

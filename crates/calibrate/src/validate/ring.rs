@@ -4,20 +4,22 @@
 use super::plane::Placed;
 use crate::base::image::Plane;
 use crate::data::Cloud;
+use crate::estimate::median;
 use crate::geometry::best_motion;
-use crate::{Board, Ellipse, NotIdentified, Spot, identify};
+use crate::spots::{lightest_of_blocks, regions};
+use crate::{Board, Ellipse, Spot, identify};
 use nalgebra::{Point3, SMatrix, SVector, Vector3};
 
 /// Pixels darker than this share of the light around are of a circle.
 const DARK: f32 = 0.5;
 /// Side of the blocks in which the light is looked for, px.
 const BLOCK: usize = 32;
-/// Sizes of circles, px.
+/// Pixels that a circle may have.
 const AREA: std::ops::RangeInclusive<usize> = 30..=20_000;
 /// Pixels this near to a circle along u see it in their fringe window, or nearly: their points are not taken for the
 /// surface. One period is 8 to 14 px on a board in the volume.
 const CLEAR_U: f64 = 14.0;
-/// The same along v.
+/// The same distance along v, px.
 const CLEAR_V: f64 = 5.0;
 /// Half side of the patch that the surface is fitted in, as a share of the distance of circles.
 const PATCH: f64 = 1.0;
@@ -71,9 +73,8 @@ impl<'a> Organized<'a> {
     }
 
     /// Finds and names the board's circles.
-    pub fn circles(&self, board: &Board) -> Result<Vec<Ring>, NotIdentified> {
-        let spots: Vec<Spot> = self.dark_regions().iter().filter_map(|pixels| self.spot(pixels)).collect();
-        let sightings = identify(&spots, board)?;
+    pub fn circles(&self, board: &Board) -> Result<Vec<Ring>, String> {
+        let sightings = identify(&self.spots(), board).map_err(|refusal| refusal.message)?;
         let mut rings: Vec<Ring> = sightings
             .into_iter()
             .map(|s| Ring { circle: s.circle, outline: s.spot.ellipse, step_px: 0.0 })
@@ -88,61 +89,22 @@ impl<'a> Organized<'a> {
         Ok(rings)
     }
 
-    /// Connected dark or missing places that do not reach the rim.
-    fn dark_regions(&self) -> Vec<Vec<[usize; 2]>> {
+    /// The ellipses of connected dark or missing places that do not reach the rim.
+    fn spots(&self) -> Vec<Spot> {
         let (w, h) = (self.points.width(), self.points.height());
         let light = |u: usize, v: usize| match self.points.at(u, v) {
             0 => 0.0,
             i => self.cloud.intensity[i as usize - 1],
         };
-        let mut white = Plane::filled(w.div_ceil(BLOCK), h.div_ceil(BLOCK), 0f32);
-        for v in 0..h {
-            for u in 0..w {
-                let (bu, bv) = (u / BLOCK, v / BLOCK);
-                white.set(bu, bv, white.at(bu, bv).max(light(u, v)));
-            }
-        }
-        let mut unseen = Plane::filled(w, h, false);
-        for v in 0..h {
-            for u in 0..w {
-                let level = white.at(u / BLOCK, v / BLOCK);
-                unseen.set(u, v, light(u, v) <= DARK * level);
-            }
-        }
-        let (mut found, mut stack) = (Vec::new(), Vec::new());
-        for start in (0..w * h).map(|i| [i % w, i / w]) {
-            if !unseen.at(start[0], start[1]) {
-                continue;
-            }
-            unseen.set(start[0], start[1], false);
-            stack.push(start);
-            let (mut pixels, mut at_rim) = (Vec::new(), false);
-            while let Some([u, v]) = stack.pop() {
-                pixels.push([u, v]);
-                at_rim |= u == 0 || v == 0 || u + 1 == w || v + 1 == h;
-                // Wrapping below 0 gives places beyond the rim.
-                for [u, v] in [[u + 1, v], [u.wrapping_sub(1), v], [u, v + 1], [u, v.wrapping_sub(1)]] {
-                    if u < w && v < h && unseen.at(u, v) {
-                        unseen.set(u, v, false);
-                        stack.push([u, v]);
-                    }
-                }
-            }
-            if !at_rim && AREA.contains(&pixels.len()) {
-                found.push(pixels);
-            }
-        }
-        found
-    }
-
-    /// The ellipse with a region's moments; `None` where it is not nearly filled by the region.
-    fn spot(&self, pixels: &[[usize; 2]]) -> Option<Spot> {
-        let place = |p: &[usize; 2]| [0, 1].map(|axis| (p[axis] + self.origin[axis]) as f64);
-        let (ellipse, filled) = Ellipse::of_region(pixels.iter().map(place))?;
-        if !(0.8..1.2).contains(&filled) {
-            return None;
-        }
-        Some(Spot { ellipse, rms_px: 0.0, contrast: 0.0, blur_px: 0.0, outside: 0.0 })
+        let white = lightest_of_blocks(w, h, BLOCK, light);
+        let dark = Plane::from_fn(w, h, |u, v| light(u, v) <= DARK * white.at(u / BLOCK, v / BLOCK));
+        let place = |p: &usize| [(p % w + self.origin[0]) as f64, (p / w + self.origin[1]) as f64];
+        let spot = |region: &Vec<usize>| {
+            let (ellipse, filled) = Ellipse::of_region(region.iter().map(place))?;
+            let spot = Spot { ellipse, rms_px: 0.0, contrast: 0.0, blur_px: 0.0, outside: 0.0 };
+            (0.8..1.2).contains(&filled).then_some(spot)
+        };
+        regions(dark, &[[1, 0], [-1, 0], [0, 1], [0, -1]], AREA).iter().filter_map(spot).collect()
     }
 
     /// The surface around a circle, from points that see no circle in their window.
@@ -180,7 +142,7 @@ impl<'a> Organized<'a> {
 /// A circle of the board as a directional cloud shows it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ring {
-    /// Number in [`Board::circles`].
+    /// Its number in the list [`Board::circles`].
     pub circle: usize,
     /// The ellipse of its dark or empty pixels: to a few tenths of a pixel.
     pub outline: Ellipse,
@@ -212,10 +174,8 @@ fn fit(samples: &[(SVector<f64, TERMS>, Point3<f64>)]) -> Option<Coefficients> {
             return None;
         }
         found = normal.cholesky()?.solve(&right);
-        let mut sizes: Vec<f64> =
-            samples.iter().map(|(t, p)| (found.transpose() * t - p.coords).norm()).collect();
-        let middle = sizes.len() / 2;
-        gate = 3.0 * 1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let sizes = samples.iter().map(|(t, p)| (found.transpose() * t - p.coords).norm());
+        gate = 3.0 * 1.4826 * median(sizes);
     }
     Some(found)
 }
@@ -251,7 +211,7 @@ pub fn place(clouds: &[Organized<'_>], board: &Board) -> Result<Placed, String> 
     let mut reason = "there are no clouds".to_owned();
     for cloud in clouds {
         match cloud.circles(board) {
-            Err(why) => reason = why.to_string(),
+            Err(why) => reason = why,
             Ok(rings) => pairs.extend(rings.iter().filter_map(|ring| {
                 let surface = cloud.surface(ring, &rings)?;
                 let circle = board.circles().get(ring.circle)?;
@@ -275,8 +235,8 @@ mod tests {
     const AWAY_M: f64 = 2.2;
     const FOCAL_PX: f64 = 1000.0;
 
-    /// The board turned about its long axis before a camera. Around four circles of one column, on which the marker lies,
-    /// points are missing.
+    /// The board turned about its long axis before a camera. Around four circles of one column, on which the marker
+    /// lies, points are missing.
     fn cloud(board: &Board, world_from_board: &Isometry3<f64>, grown: f64) -> Cloud {
         let normal = world_from_board * Vector3::z();
         let mut cloud = Cloud::default();

@@ -5,15 +5,12 @@
 //! or are of something else: they are counted, and do not enter the other figures.
 
 use super::deviations::Deviations;
-use super::plane::GROSS_M as PLANE_GROSS_M;
+use super::plane::GROSS_M;
 use crate::base::regular;
 use nalgebra::{Matrix4, Point3, Vector3, Vector4};
 use serde::Serialize;
 use std::collections::HashMap;
 use std::path::Path;
-
-/// Beyond this distance a point is not of the solid, m.
-pub const GROSS_M: f64 = PLANE_GROSS_M;
 
 /// Distances to a known solid.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -21,9 +18,8 @@ pub struct SolidScore {
     /// Deviations of the points within [`GROSS_M`].
     #[serde(flatten)]
     pub deviations: Deviations,
-    /// Points further away.
+    /// Points that lie further away than that.
     pub gross: usize,
-    /// Their share of all.
     pub gross_share: f64,
     /// The sphere that fits best, where the solid is one.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -33,7 +29,6 @@ pub struct SolidScore {
 /// The sphere that fits the points best (least squares of the distances), against the known one.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FittedSphere {
-    /// Its radius, mm.
     pub radius_mm: f64,
     /// Its radius minus the known one, mm.
     pub radius_error_mm: f64,
@@ -43,12 +38,10 @@ pub struct FittedSphere {
     pub rms_mm: f64,
 }
 
-/// A sphere.
+/// A known sphere, in the world frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sphere {
-    /// Centre, world, m.
     pub centre: Point3<f64>,
-    /// Radius, m.
     pub radius_m: f64,
 }
 
@@ -168,7 +161,7 @@ impl Mesh {
         Self::new(triangles)
     }
 
-    /// Sorts triangles by place.
+    /// A mesh of these triangles, or why they are none.
     pub fn new(triangles: Vec<[Vector3<f64>; 3]>) -> Result<Self, String> {
         let mut cells: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
         for (number, triangle) in triangles.iter().enumerate() {
@@ -196,7 +189,7 @@ impl Mesh {
     /// Signed distance to the nearest face, m; `None` where none is in reach (at least [`GROSS_M`]).
     ///
     /// Where several faces share the nearest edge or corner, the one that the point lies most in front of or behind
-    /// tells the side.
+    /// decides the side.
     pub fn distance(&self, point: &Point3<f64>) -> Option<f64> {
         let [x, y, z]: [i64; 3] = point.coords.map(|x| (x / CELL_M).floor() as i64).into();
         let (mut best, mut side) = (f64::INFINITY, 0.0f64);

@@ -7,7 +7,7 @@
 //! A merged cloud has no such neighbours. Three numbers describe it: the mean distance to the nearest point, that to
 //! the four nearest, and the density spacing: the side of the square that each point has to itself, from the number of
 //! points within [`DISC_M`] of each. Where cameras overlap the nearest point may be any distance, so that only the
-//! last says how fine a detail the cloud can hold.
+//! last measures how fine a detail the cloud can hold.
 
 use super::grid::Grid;
 use crate::data::Cloud;
@@ -16,7 +16,7 @@ use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use serde::Serialize;
 use std::collections::HashMap;
 
-/// Pairs longer than so many medians are no neighbours on the surface.
+/// Pairs longer than this many medians are no neighbours on the surface.
 pub const STEP: f64 = 5.0;
 /// Neighbours are looked for this far, m; points without four in reach are lone.
 pub const REACH_M: f64 = 0.005;
@@ -26,7 +26,6 @@ pub const DISC_M: f64 = 0.005;
 /// Spacing of a directional cloud.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Directional {
-    /// Number of points.
     pub points: usize,
     /// Mean distance of pixel neighbours, mm.
     pub spacing_mm: f64,
@@ -80,7 +79,6 @@ pub fn directional(cloud: &Cloud) -> Option<Directional> {
 /// Spacing of a merged cloud.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Merged {
-    /// Number of points.
     pub points: usize,
     /// Points with fewer than four others in reach; they do not count.
     pub lone: usize,

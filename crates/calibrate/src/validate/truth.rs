@@ -7,7 +7,7 @@
 //! The distance of a point is the Euclidean one to the true surface around its pixel, triangulated from the
 //! depth map. Its fringe order is wrong when the phase at which the projector sees the point differs by more
 //! than pi from that of the true surface at its pixel. A point whose pixel sees no surface counts as wrong too
-//! (`off_surface`). Its normal is held against that of the true points [`NORMAL_PX`] around its pixel, as far as these
+//! (`off_surface`). Its normal is compared with that of the true points [`NORMAL_PX`] around its pixel, as far as these
 //! lie on one surface.
 
 use super::light::{Classes, Light, LightScore};
@@ -27,7 +27,7 @@ const MAX_STRETCH: f64 = 12.0;
 /// Up to this distance, m, the cells that touch the pixel are enough to find the nearest surface.
 const NEAR_M: f64 = 0.001;
 
-/// Pixels to the true points that tell the normal: as many as clouds take for theirs.
+/// Distance of the true points that make the normal, px: as far as clouds take for theirs.
 const NORMAL_PX: usize = 3;
 
 /// Cells searched on each side where the nearest surface is further away.
@@ -36,16 +36,18 @@ const WIDE_PX: usize = 4;
 /// The truth of one camera at one instant.
 #[derive(Debug)]
 pub struct Truth {
-    /// First column and row of the crop.
-    origin: [usize; 2],
-    /// True points in camera axes, m; NaN where there is nothing.
-    points: Plane<[f64; 3]>,
-    lit: Plane<u8>,
+    /// First column and row of the crop in the frame, px.
+    pub(super) origin: [usize; 2],
+    /// True points of the crop in camera axes, m; NaN where there is nothing.
+    pub(super) points: Plane<[f64; 3]>,
+    /// Whether the projector lights the pixels of the crop: not 0.
+    pub(super) lit: Plane<u8>,
     focal_px: f64,
 }
 
 impl Truth {
-    /// Reads a truth file for a camera of whose rows each is so many of the file, by the middle one of these.
+    /// Reads a truth file for a camera. Each of its rows is `bin_rows` rows of the file, of which the middle one
+    /// counts.
     pub fn load(path: &Path, camera: &Device, bin_rows: usize) -> Result<Self, String> {
         let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
         let mut archive = NpzReader::open(path).map_err(|e| fail(&e))?;
@@ -89,21 +91,6 @@ impl Truth {
         Ok(Self { origin: [u0, first], points, lit: is_lit, focal_px: camera.lens.fx })
     }
 
-    /// First column and row of the crop.
-    pub(super) fn origin(&self) -> [usize; 2] {
-        self.origin
-    }
-
-    /// True points of the crop in camera axes, m; NaN where there is nothing.
-    pub(super) fn points(&self) -> &Plane<[f64; 3]> {
-        &self.points
-    }
-
-    /// Whether the projector lights the pixels of the crop: not 0.
-    pub(super) fn lit(&self) -> &Plane<u8> {
-        &self.lit
-    }
-
     /// Place of a frame pixel in the crop.
     pub(super) fn place(&self, [u, v]: [u16; 2]) -> Option<(usize, usize)> {
         let u = usize::from(u).checked_sub(self.origin[0])?;
@@ -111,7 +98,7 @@ impl Truth {
         (u < self.points.width() && v < self.points.height()).then_some((u, v))
     }
 
-    /// Holds point `i` of a cloud of this camera against the truth.
+    /// Compares point `i` of a cloud of this camera with the truth.
     fn judge(&self, cloud: &Cloud, i: usize, reference: Reference<'_>) -> Verdict {
         let place = self.place(cloud.pixel[i]);
         let surface = place.map(|(u, v)| Point3::from(self.points.at(u, v)));
@@ -144,8 +131,8 @@ impl Truth {
         Some((point.z - surface.z) * surface.norm() / surface.z)
     }
 
-    /// Angle between the normal of point `i` of a cloud of this camera and the true one at its pixel, rad. `None` where there
-    /// is no smooth surface around.
+    /// Angle between the normal of point `i` of a cloud of this camera and the true one at its pixel, rad. `None` where
+    /// there is no smooth surface around.
     fn tilt(&self, cloud: &Cloud, i: usize, reference: Reference<'_>) -> Option<f32> {
         let truth = self.normal(self.place(cloud.pixel[i])?)?;
         let world = Vector3::from(cloud.normal[i]).cast::<f64>();
@@ -164,7 +151,7 @@ impl Truth {
         let own = at(u, v);
         let limit = MAX_STRETCH * NORMAL_PX as f64 * own.z / self.focal_px;
         let around = [at(left, v), at(right, v), at(u, above), at(u, below)];
-        // Not so of what is not there.
+        // A missing point is NaN, which is not below the limit.
         let smooth = around.iter().all(|x| (x - own).norm() < limit);
         let normal = (around[1] - around[0]).cross(&(around[3] - around[2])).try_normalize(0.0)?;
         smooth.then(|| if normal.dot(&own) > 0.0 { -normal } else { normal })
@@ -227,7 +214,7 @@ impl Truth {
 enum Verdict {
     /// There is no surface at its pixel.
     OffSurface,
-    /// There is one.
+    /// There is a surface at its pixel.
     On {
         /// Whether the fringe order is right.
         right: bool,
@@ -272,11 +259,8 @@ pub(super) fn closest(p: &Vector3<f64>, [a, b, c]: &[Vector3<f64>; 3]) -> Vector
 /// What scoring needs to know of a camera.
 #[derive(Debug, Clone, Copy)]
 pub struct Reference<'a> {
-    /// The camera.
     pub camera: &'a Device,
-    /// Its head's projector.
     pub projector: &'a Device,
-    /// The pattern.
     pub pattern: &'a Pattern,
 }
 
@@ -297,20 +281,9 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Adds the points of `cloud` for which `select` holds (by index), all of one camera, and that camera's
-    /// lit pixels.
+    /// Adds the points of `cloud` for which `select` holds (by index), all of one camera, and that camera's lit pixels;
+    /// with the fringes of its photograph, by their modulation, too.
     pub fn add(
-        &mut self,
-        cloud: &Cloud,
-        select: impl Fn(usize) -> bool,
-        truth: &Truth,
-        reference: Reference<'_>,
-    ) {
-        self.add_with_light(cloud, select, truth, reference, None);
-    }
-
-    /// The same, counting by the modulation in the photograph, too.
-    pub fn add_with_light(
         &mut self,
         cloud: &Cloud,
         select: impl Fn(usize) -> bool,
@@ -342,7 +315,7 @@ impl Tally {
         }
     }
 
-    /// Adds another tally.
+    /// Adds the tally of another cloud.
     pub fn join(&mut self, other: &Tally) {
         self.points += other.points;
         self.wrong_order += other.wrong_order;
@@ -354,7 +327,7 @@ impl Tally {
         self.classes.join(&other.classes);
     }
 
-    /// The figures.
+    /// The figures of everything that was added.
     pub fn score(&self) -> Score {
         let share = |part: usize, whole: usize| part as f64 / whole.max(1) as f64;
         let mut all: Vec<f32> = self.distances.iter().map(|&(d, _)| d).collect();
@@ -392,13 +365,12 @@ impl Tally {
 /// The figures of one cloud or of several together.
 #[derive(Debug, Clone, Serialize)]
 pub struct Score {
-    /// Number of points.
     pub points: usize,
     /// RMS distance to the true surface of all points that have one, wrong fringe orders included, mm.
     pub rms_mm: f64,
     /// The same of the points of right fringe order.
     pub rms_right_order_mm: f64,
-    /// Mean distance of these.
+    /// Mean distance of the points of right fringe order, mm.
     pub mean_right_order_mm: f64,
     /// 95th percentile of the distance of all points that have a surface, mm.
     pub p95_mm: f64,
@@ -410,7 +382,6 @@ pub struct Score {
     pub off_surface_share: f64,
     /// Share of the lit pixels that have a point of right order.
     pub completeness_of_lit: f64,
-    /// Number of lit pixels.
     pub lit_px: usize,
     /// Median angle between the normals of points of right order and the true ones, degrees.
     pub normal_median_deg: f64,
@@ -430,7 +401,8 @@ mod tests {
 
     #[test]
     fn the_true_normal_is_that_of_the_surface_and_none_at_its_edge() {
-        // A plane seen from the origin by a camera of 1000 px focal length; from column 15 on another one, half a metre behind.
+        // A plane seen from the origin by a camera of 1000 px focal length; from column 15 on another one, half a metre
+        // behind.
         let (side, focal_px) = (30, 1000.0);
         let normal = Vector3::new(0.3, -0.2, -0.9).normalize();
         let mut points = Plane::filled(side, side, [f64::NAN; 3]);

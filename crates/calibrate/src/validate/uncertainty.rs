@@ -11,7 +11,7 @@ use super::truth::{Reference, Truth};
 use crate::data::Cloud;
 use serde::Serialize;
 
-/// Upper bounds of the classes of modulation, as the photograph and the truth tell it ([`Light`]), DN.
+/// Upper bounds of the classes of modulation, DN, by the photograph and the truth ([`Light`]).
 const MODULATION_DN: [f32; 8] = [1.5, 3.0, 4.0, 6.0, 10.0, 20.0, 40.0, f32::INFINITY];
 
 /// Upper bounds of the classes of light (mean over a fringe), DN.
@@ -35,16 +35,13 @@ struct Point {
     error_mm: f32,
 }
 
-/// One class.
+/// The points of one class: what was predicted, and what the error was.
 #[derive(Debug, Clone, Serialize)]
 pub struct Class {
     /// `modulation DN`, `light DN`, `predicted mm` or `all`.
     pub by: &'static str,
-    /// Lower bound.
     pub from: f32,
-    /// Upper bound.
     pub to: f32,
-    /// Number of points.
     pub points: usize,
     /// Median of the prediction, mm.
     pub predicted_mm: f32,
@@ -57,7 +54,8 @@ pub struct Class {
 }
 
 impl Points {
-    /// Adds the points of a cloud that carry an uncertainty; with the fringes of its photograph, by their modulation, too.
+    /// Adds the points of a cloud that carry an uncertainty; with the fringes of its photograph, by their modulation,
+    /// too.
     pub fn add(&mut self, cloud: &Cloud, truth: &Truth, reference: Reference<'_>, light: Option<&Light>) {
         for (i, sigma) in cloud.sigma_m.iter().enumerate() {
             let Some(error) = truth.error_along_sight(cloud, i, reference) else { continue };
@@ -72,7 +70,7 @@ impl Points {
         }
     }
 
-    /// Whether there are none.
+    /// Whether no point with an uncertainty was added.
     pub fn is_empty(&self) -> bool {
         self.points.is_empty()
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whose word counts for the world, and how far: properties on the shipped rig.
 
-use super::{Vertical, WorldError, into_world, nearest_motion};
+use super::{StageError, Vertical, into_world, nearest_motion};
 use crate::board::Board;
 use crate::bundle::{DeviceModel, Model};
 use crate::config::Rig;
@@ -51,7 +51,7 @@ fn moved(device: &Device, turn: Vector3<f64>, shift: Vector3<f64>) -> Device {
     Device { world_from_device: Pose::new(Isometry3::from_parts(place, rotation)), ..device.clone() }
 }
 
-fn fit(model: &mut Model, nominal: &[(Device, bool)], verticals: &[Vertical]) -> Result<World, WorldError> {
+fn fit(model: &mut Model, nominal: &[(Device, bool)], verticals: &[Vertical]) -> Result<World, StageError> {
     let positions: Vec<usize> = (0..model.boards.len()).collect();
     into_world(model, nominal, &positions, &board(), verticals)
 }
@@ -70,7 +70,7 @@ fn direction() -> impl Strategy<Value = Vector3<f64>> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Eight cameras: an eighth of what one says at the very most.
+    /// Eight cameras: an eighth of what one camera adds, at the very most.
     #[test]
     fn one_wrong_pose_moves_the_world_by_less_than_its_share(which in 0..8usize, axis in direction()) {
         prop_assume!(axis.norm() > 0.1);

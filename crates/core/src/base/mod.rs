@@ -14,7 +14,7 @@ pub mod ids;
 pub mod image;
 /// JSON of others: an object is an object.
 pub mod json;
-/// Text that may be printed to a terminal.
+/// Text that may be printed to a terminal, or put into a page.
 pub mod print;
 /// Files of others: regular, of a bounded size, without waiting.
 pub mod regular;

@@ -2,6 +2,7 @@
 //! The report's HTML: one file, nothing from anywhere else.
 
 use super::{CameraReport, NodeReport, Report};
+use crate::base::print::html as escape;
 use crate::play::Sequence;
 use crate::record::Status;
 use crate::telemetry::Grade;
@@ -321,22 +322,6 @@ fn class(grade: Grade) -> &'static str {
         Grade::Fair => "fair",
         Grade::Bad => "bad",
     }
-}
-
-/// For HTML text and attributes.
-fn escape(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '&' => out.push_str("&amp;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            c => out.push(c),
-        }
-    }
-    out
 }
 
 #[cfg(test)]
