@@ -10,35 +10,20 @@
 use fourdbody_core::config;
 use fourdbody_core::{base, data, formats, geometry};
 
-/// Pixel counts that tell how a frame went.
 pub mod counts;
-/// The frames of all cameras of one trigger.
 pub mod frame_set;
-/// Fringe orders of all views of one instant.
 pub mod fringe_order;
-/// What the stages are computed with.
-pub mod kernels;
-/// Marker map Mm.
+pub(crate) mod kernels;
 pub mod marker;
-/// Object mask Om.
-pub mod mask;
-/// Directional clouds to merged clouds.
+pub(crate) mod mask;
 pub mod merge;
-/// What became of a frame.
 pub mod outcome;
-/// The paper's method, plain.
 pub mod paper;
-/// Fringe period Pm and wrapped phase Wm.
-pub mod phase;
-/// One frame to one directional cloud.
+pub(crate) mod phase;
 pub mod pipeline;
-/// The photographs of one instant to points.
 pub mod reconstructor;
-/// Absolute phase Fm, made better pixel by pixel.
-pub mod refine;
-/// Absolute phase to points and normals.
+pub(crate) mod refine;
 pub mod triangulate;
-/// From a photograph and its mask to wrapped phases and the marker.
-pub mod wrapped_phase;
+pub(crate) mod wrapped_phase;
 
 pub use reconstructor::Reconstructor;

@@ -14,7 +14,6 @@ use super::marker::number;
 use super::marker::pieces::MarkerPieces;
 use super::outcome::{Maps, NO_OBJECT, Outcome, Reconstruction, WHY_ELSEWHERE, outcome_of};
 use super::phase::demodulate::{self, Gains};
-use super::phase::window_quality::Windows;
 use super::refine::{FrameMaps, albedo_edges, curvature, extend_runs, select, uncertainty};
 use super::triangulate::points;
 use super::triangulate::ray_table::RayTable;
@@ -236,24 +235,12 @@ impl Pipeline {
 
     /// Makes the cloud of an unwrapped frame.
     pub fn finish(&self, prepared: UnwrappedFrame) -> Reconstruction {
+        let UnwrappedFrame { roi, regions, orders, image, marker, zone, runs, .. } = prepared;
         let UnwrappedFrame {
-            roi,
-            mut absolute,
-            regions,
-            orders,
-            mut counts,
-            runs,
-            mut windows,
-            mut period,
-            image,
-            zone,
-            mut planes,
-            mut clock,
-            marker,
-            ..
+            mut absolute, mut counts, mut windows, mut period, mut planes, mut clock, ..
         } = prepared;
         let pair = self.triangulator.pair();
-        // What the edges find, where uncertainties are asked for.
+        // The errors that the edges expect, where uncertainties are wanted.
         let mut expected =
             self.uncertainty.then(|| Plane::filled(absolute.width(), absolute.height(), f32::NAN));
         clock.time("order", || orders.apply(&mut absolute));
@@ -266,43 +253,34 @@ impl Pipeline {
             FrameMaps { runs: &runs, windows: &windows, period: &period, zone: &zone, sign: pair.sign };
         counts.dropped = clock.time("select", || {
             self.bias.correct(&mut absolute);
-            select::select(&mut absolute, maps, &select::Settings::default())
+            select::select(&mut absolute, maps)
         });
         clock.time("curvature", || {
-            let rows = (demodulate::ROWS as f32, pair.marker_period_px);
-            curvature::correct(&mut absolute, maps, rows);
+            curvature::correct(&mut absolute, maps, (demodulate::ROWS as f32, pair.marker_period_px));
         });
-        counts.dropped += clock.time("edges", || {
-            let (settings, expected) = (albedo_edges::Settings::default(), expected.as_mut());
-            albedo_edges::refine(&mut absolute, maps, &settings, expected)
-        });
+        counts.dropped +=
+            clock.time("edges", || albedo_edges::refine(&mut absolute, maps, expected.as_mut()));
         let sigma_codes = expected.map(|expected| {
             let rows = pair.marker_period_px;
             clock.time("uncertainty", || uncertainty::sigma_codes(&absolute, maps, &expected, rows))
         });
-        let frame = (pair.camera.width, pair.camera.height);
         let known = points::KnownPixels { absolute: &absolute, runs: &runs, light: &windows.light, roi };
         let size = self.frame().map(|px| px as u16);
-        let map = clock.time("quantize", || points::phase_map(&known, sigma_codes.as_ref(), size));
-        let cloud = clock.time("points", || points::make(&self.table, &map));
-        let Windows { strength, light, misfit } = windows;
-        [strength, light].into_iter().for_each(|plane| self.workspace.planes.words.give(plane));
-        [misfit, period].into_iter().for_each(|plane| self.workspace.planes.floats.give(plane));
-        [marker, zone, image].into_iter().for_each(|plane| self.workspace.planes.bytes.give(plane));
-        if self.keep_maps {
+        let phase = clock.time("quantize", || points::phase_map(&known, sigma_codes.as_ref(), size));
+        let cloud = clock.time("points", || points::make(&self.table, &phase));
+        let memory = &self.workspace.planes;
+        [windows.strength, windows.light].into_iter().for_each(|plane| memory.words.give(plane));
+        [windows.misfit, period].into_iter().for_each(|plane| memory.floats.give(plane));
+        [marker, zone, image].into_iter().for_each(|plane| memory.bytes.give(plane));
+        let maps = if self.keep_maps {
             planes.push(("Fm", absolute));
+            Some(Maps { roi, frame: (pair.camera.width, pair.camera.height), planes })
         } else {
-            self.workspace.planes.floats.give(absolute);
-        }
-        Reconstruction {
-            outcome: outcome_of(&cloud, &counts),
-            cloud,
-            phase: map,
-            counts,
-            regions,
-            stages: clock.0,
-            maps: self.keep_maps.then_some(Maps { roi, frame, planes }),
-        }
+            memory.floats.give(absolute);
+            None
+        };
+        let outcome = outcome_of(&cloud, &counts);
+        Reconstruction { cloud, phase, outcome, counts, regions, stages: clock.0, maps }
     }
 }
 
@@ -314,15 +292,9 @@ pub fn refuse(prepared: UnwrappedFrame, reason: String) -> Box<Reconstruction> {
 }
 
 fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> {
-    Box::new(Reconstruction {
-        cloud: Cloud::default(),
-        phase: PhaseMap::default(),
-        outcome: Outcome::Refused(reason),
-        counts,
-        regions: Regions::default(),
-        stages: clock.0,
-        maps: None,
-    })
+    let (cloud, phase, regions) = (Cloud::default(), PhaseMap::default(), Regions::default());
+    let (outcome, stages) = (Outcome::Refused(reason), clock.0);
+    Box::new(Reconstruction { cloud, phase, outcome, counts, regions, stages, maps: None })
 }
 
 /// The object as a mask as large as the image.

@@ -56,7 +56,7 @@ impl MostDifference {
 }
 
 /// Differences of a block of cameras from a view, where both see one surface.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Differences {
     /// By term, rad.
     pub terms: [[f32; LANES]; TERMS],
@@ -67,9 +67,6 @@ pub struct Differences {
 }
 
 impl Differences {
-    /// None are known.
-    pub const NONE: Self = Self { terms: [[0.0; LANES]; TERMS], scale: [0.0; LANES], middle: [0.0; LANES] };
-
     /// The terms of a pixel.
     pub fn terms_of((u, v): (usize, usize)) -> [f32; TERMS] {
         [1.0, u as f32 / UNIT_PX, v as f32 / UNIT_PX]
@@ -166,7 +163,7 @@ pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &OrderTable) -> Vec<Di
                 }
             }
         }
-        let mut found = Differences::NONE;
+        let mut found = Differences::default();
         for (c, seen) in seen.iter().enumerate().filter(|x| x.1.len() >= LEAST_PLACES) {
             let (terms, scale) = fit(seen);
             for (k, term) in terms.into_iter().enumerate() {
@@ -234,7 +231,7 @@ mod tests {
     #[test]
     fn the_camera_that_has_turned_is_named() {
         let differences = |by: [f32; 3]| {
-            let mut found = Differences::NONE;
+            let mut found = Differences::default();
             found.middle[..3].copy_from_slice(&by);
             found.scale[..3].fill(0.02);
             found

@@ -167,38 +167,29 @@ impl<const N: usize> CellLanes<N> {
     }
 }
 
-/// A cell whose pixels have to be asked.
-#[derive(Debug, Clone)]
-pub struct Rim {
-    /// A bit for each pixel of the object, row by row.
-    pub object: u64,
-    /// The first of its nodes.
-    pub first: u32,
-    /// For each pixel 0, or the number of its node among the cell's, from 1.
-    pub of: [u8; CELL_PX * CELL_PX],
-    /// Phases of its pixels, and of the first column of the next cell, rad; NaN where they are unknown.
-    pub phase: [[f32; CELL_PX + 1]; CELL_PX],
-}
-
-/// A row of a [`Rim`]: all that is asked of a place lies side by side, for to wait for memory is what takes the time.
+/// A row of a cell whose pixels have to be asked: all that is asked of a place lies side by side, for to wait for memory is
+/// what takes the time.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub struct RimRow {
-    /// As in [`Rim::phase`].
+    /// Phases of its pixels, and of the first column of the next cell, rad; NaN where they are unknown.
     pub phase: [f32; CELL_PX + 1],
     /// The first of the cell's nodes.
-    first: u32,
-    /// As in [`Rim::of`].
+    pub first: u32,
+    /// For each pixel 0, or the number of its node among the cell's, from 1.
     pub of: [u8; CELL_PX],
-    /// A bit for each pixel, as in [`Rim::object`].
-    object: u8,
-    /// The same of those that are the object's or have it [`BACKGROUND_PX`] to the left, to the right, above or below.
+    /// A bit for each pixel of the object.
+    pub object: u8,
+    /// A bit for each pixel that is the object's or has it [`BACKGROUND_PX`] to the left, to the right, above or below.
+    /// [`CellLookup::mark_outlines`] sets it.
     near: u8,
 }
 
 impl RimRow {
-    const NONE: Self =
-        Self { phase: [f32::NAN; CELL_PX + 1], first: 0, of: [0; CELL_PX], object: 0, near: 0 };
+    /// A row of pixels that are unknown, in a cell of these first node and object.
+    pub fn new(first: u32, object: u8) -> Self {
+        Self { phase: [f32::NAN; CELL_PX + 1], first, of: [0; CELL_PX], object, near: 0 }
+    }
 
     /// The node that [`Self::of`] stands for; any number where it stands for none.
     #[inline(always)]
@@ -220,20 +211,7 @@ impl RimRow {
 }
 
 /// The rows of a cell whose pixels have to be asked.
-type RimRows = [RimRow; CELL_PX];
-
-impl Rim {
-    /// Its rows, as long as it is not known what is [`near`](RimRow::near).
-    fn rows(&self) -> RimRows {
-        let mut rows = [RimRow::NONE; CELL_PX];
-        let (of, _) = self.of.as_chunks::<CELL_PX>();
-        let pixels = self.phase.iter().zip(of).zip(self.object.to_le_bytes());
-        for (row, ((phase, of), object)) in rows.iter_mut().zip(pixels) {
-            *row = RimRow { phase: *phase, first: self.first, of: *of, object, near: 0 };
-        }
-        rows
-    }
-}
+pub type RimRows = [RimRow; CELL_PX];
 
 /// All cells of a view, with [`PAD_CELLS`] around.
 #[derive(Debug, Default)]
@@ -305,9 +283,9 @@ impl CellLookup {
     }
 
     /// Sets a cell whose pixels have to be asked.
-    pub fn set_rim(&mut self, column: usize, row: usize, rim: Rim) {
+    pub fn set_rim(&mut self, column: usize, row: usize, rim: RimRows) {
         self.set(column, row, CellContent::none(CellContent::RIM + self.rims.len() as u32));
-        self.rims.push(rim.rows());
+        self.rims.push(rim);
     }
 
     /// The cell of column `u / CELL_PX` and row `v / CELL_PX`; beyond the grid there is nothing but background.
@@ -421,7 +399,7 @@ impl CellLookup {
 
 #[cfg(test)]
 mod tests {
-    use super::{CellContent, CellLookup, Kind, Plane as CellPlane, Rim};
+    use super::{CellContent, CellLookup, Kind, Plane as CellPlane, RimRow};
     use crate::base::image::Plane;
     use crate::kernels::pixel_runs::Runs;
 
@@ -433,11 +411,12 @@ mod tests {
         (0..8).for_each(|v| object.row_mut(v)[..12].fill(1));
         let mut lookup = CellLookup::new(w, h);
         lookup.set(0, 0, CellContent::of_plane(5, CellPlane { phase: 0.0, steps: [0.0; 2] }));
-        let mut of = [0; 64];
-        for (i, of) in of.iter_mut().enumerate().filter(|x| x.0 % 8 < 4) {
-            *of = if i == 8 { 0 } else { 1 + u8::from(i >= 32) };
+        let mut rim = [RimRow::new(6, 0x0f); 8];
+        for (v, row) in rim.iter_mut().enumerate() {
+            row.of[..4].fill(1 + u8::from(v >= 4));
         }
-        lookup.set_rim(1, 0, Rim { object: 0x0f0f_0f0f_0f0f_0f0f, first: 6, of, phase: [[0.0; 9]; 8] });
+        rim[1].of[0] = 0;
+        lookup.set_rim(1, 0, rim);
         lookup.mark_outlines(&Runs::of(&object));
         for v in 0..40 {
             for u in 0..40 {

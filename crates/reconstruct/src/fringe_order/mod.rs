@@ -202,7 +202,7 @@ fn label_all(scenes: &[Scene<'_>], most: MostDifference) -> (Vec<Turns>, Option<
 /// At first nobody knows what hides what, and by how much the cameras differ; then they are asked again.
 fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>], most: MostDifference) -> Option<Turned> {
     let patches: usize = scenes.iter().map(|scene| scene.patches.all.len()).sum();
-    let none = vec![vec![Differences::NONE; scenes.len().div_ceil(LANES)]; scenes.len()];
+    let none = vec![vec![Differences::default(); scenes.len().div_ceil(LANES)]; scenes.len()];
     let mut known = OrderTable { turns: vec![NO_ORDER; patches + BEYOND], differences: none };
     for first in [true, false] {
         fields.par_iter_mut().for_each(|field| {

@@ -59,7 +59,7 @@ impl Observed {
 }
 
 /// Which pixels of their cells the cameras of a block have to be asked for, where they have to be asked closely.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct Pixels {
     /// What each cell is: [`CellLanes::node`].
     kind: [u32; LANES],
@@ -70,17 +70,6 @@ pub struct Pixels {
     /// The column that is nearest; that behind the cell's last is the next cell's.
     nearest: [u32; LANES],
     row: [u32; LANES],
-}
-
-impl Pixels {
-    /// None yet.
-    pub const NONE: Self = Self {
-        kind: [0; LANES],
-        column: [0; LANES],
-        behind: [0.0; LANES],
-        nearest: [0; LANES],
-        row: [0; LANES],
-    };
 }
 
 /// Some views, how their patches are numbered, and their cells.
@@ -117,7 +106,7 @@ impl<'a> Observations<'a> {
             blocks: blocks.collect(),
             spots: [Projected::NONE; PLACES],
             cells: [CellLanes::UNSEEN; PLACES],
-            pixels: [Pixels::NONE; PLACES],
+            pixels: [Pixels::default(); PLACES],
         }
     }
 
@@ -173,7 +162,7 @@ fn glance(cells: &CellLanes<LANES>, spots: &Projected, numbers: &Numbers) -> (Ob
     // Values that may be written meanwhile would be loaded where they are chosen, by a branch.
     let (Numbers { first, .. }, Projected { right, down, cast, .. }) = (*numbers, *spots);
     let (nothing, past) = (numbers.nothing(), numbers.past());
-    let (mut sights, mut pixels, mut ask) = (Observed::NONE, Pixels::NONE, [0u32; LANES]);
+    let (mut sights, mut pixels, mut ask) = (Observed::NONE, Pixels::default(), [0u32; LANES]);
     for i in 0..LANES {
         let kind = cells.node(i);
         let ahead = cells.phase(i, right[i], down[i]) - cast[i];

@@ -5,7 +5,7 @@
 //! other are one patch. Most cells are filled by one smooth patch, a plane of phases.
 
 use super::links::Link;
-use super::lookup::{self, CellContent, CellLookup, Rim};
+use super::lookup::{self, CellContent, CellLookup, RimRow};
 use crate::base::image::Plane;
 use crate::kernels::bit_rows::{self, WORD, bits_where};
 use crate::kernels::fast_round::nearest;
@@ -164,23 +164,20 @@ impl Patches {
     /// The patches of a cell that no smooth surface fills.
     #[inline(never)]
     fn cut_up(&mut self, surface: &mut Surface<'_>, (column, row): (usize, usize), cell: &Cell) {
+        let top = row * CELL_PX;
         let Cell { phase, period, right, down, object } = cell;
         let first = self.all.len();
-        write(surface.phase, column * CELL_PX, row * CELL_PX, phase);
+        write(surface.phase, column * CELL_PX, top, phase);
         each_patch(phase, right, down, |mask| self.add(mask, (column, row), phase, right, down));
         let count = self.all.len() - first;
         self.grid[row * self.columns + column] = Spot { first: first as u32, count: count as u32 };
-        let mut rim = Rim {
-            object: *object,
-            first: first as u32,
-            of: [0; CELL_PX * CELL_PX],
-            phase: [[f32::NAN; CELL_PX + 1]; CELL_PX],
-        };
-        for (v, (line, phase)) in rim.phase.iter_mut().zip(phase).enumerate() {
+        let mut rim = object.to_le_bytes().map(|object| RimRow::new(first as u32, object));
+        for (v, (row, phase)) in rim.iter_mut().zip(phase).enumerate() {
+            let line = &mut row.phase;
             line[..CELL_PX].copy_from_slice(phase);
             // The next cell's phases are not unwrapped with this one's.
             let last = CELL_PX - 1;
-            let (u, v) = ((column + 1) * CELL_PX, row * CELL_PX + v);
+            let (u, v) = ((column + 1) * CELL_PX, top + v);
             if v < surface.phase.height() && u < surface.phase.width() {
                 let carrier =
                     surface.sign * 2.0 * TAU / (period[v % CELL_PX][last] + surface.period.at(u, v));
@@ -189,10 +186,10 @@ impl Patches {
             }
         }
         for (i, patch) in self.all[first..].iter().enumerate() {
-            let mut rest = patch.mask;
-            while rest != 0 {
-                rim.of[rest.trailing_zeros() as usize] = i as u8 + 1;
-                rest &= rest - 1;
+            for (row, mask) in rim.iter_mut().zip(patch.mask.to_le_bytes()) {
+                for u in (0..CELL_PX).filter(|u| mask >> u & 1 != 0) {
+                    row.of[u] = i as u8 + 1;
+                }
             }
         }
         self.lookup.set_rim(column, row, rim);

@@ -21,6 +21,7 @@ use super::kernels::connected_components::{self, Piece};
 use super::kernels::pixel_runs::{Run, Runs};
 use super::kernels::simd;
 use super::kernels::subpixel::{self, LANES, Lanes, PAD, Periods};
+use super::phase::demodulate::MAX_HALF;
 use super::triangulate::camera_projector::CameraProjector;
 use crate::base::image::{Mono8, Plane};
 use std::f32::consts::{FRAC_PI_2, TAU};
@@ -29,11 +30,11 @@ use std::ops::Range;
 /// Shortest marker that counts, in periods of its modulation.
 const MIN_DASHES: f32 = 2.5;
 
+/// A core's mean width is at most this share of the fringe period: a wider one holds more than one fringe.
+const MAX_CORE_PERIODS: f32 = 0.9;
+
 /// A marker's lateral contrast must reach this share of the modulation that is projected: blur takes the rest.
 const MIN_CONTRAST: f32 = 0.25;
-
-/// Half of the longest period whose mean is taken, px.
-const MAX_HALF: f32 = 20.0;
 
 /// Energy beside the marker counts this much against it.
 const LATERAL_WEIGHT: f32 = 1.5;
@@ -99,7 +100,11 @@ pub fn ridges(
             }
         },
     );
-    select(&buffers.found, |_, piece| piece.rows() >= MIN_DASHES * pair.marker_period_px)
+    let mut ridges = Runs::default();
+    let is_long = |piece: &Piece| piece.rows() >= MIN_DASHES * pair.marker_period_px;
+    let choose = |pieces: &[Piece]| pieces.iter().map(is_long).collect();
+    connected_components::select(&buffers.found, choose, &mut ridges);
+    ridges
 }
 
 /// The ridges' pixels on the core of one fringe. `wrapped` must already be that of the marker's mean light
@@ -121,11 +126,15 @@ pub fn detect(ridges: &Runs, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &C
             widths[piece[place] as usize] += period.iter().sum::<f32>();
         }
     }
-    select(&core, |number, piece| {
+    let is_fringe = |(piece, width): (&Piece, f32)| {
         let area = piece.area as f32;
         piece.rows() >= MIN_DASHES * pair.marker_period_px
-            && area / piece.rows() <= 0.9 * widths[number] / area
-    })
+            && area / piece.rows() <= MAX_CORE_PERIODS * width / area
+    };
+    let mut cores = Runs::default();
+    let choose = |pieces: &[Piece]| pieces.iter().zip(widths).map(is_fringe).collect();
+    connected_components::select(&core, choose, &mut cores);
+    cores
 }
 
 /// The pixels of a run for which `is` holds. Stretches of which `may` tells at once that it holds nowhere are passed over.
@@ -293,20 +302,6 @@ fn lateral_contrast(energy: &[f32], u: usize, period: f32) -> f32 {
         return -1.0;
     }
     energy[u] - LATERAL_WEIGHT * left.max(right)
-}
-
-/// The components for which `keep` holds, given their number.
-fn select(runs: &Runs, keep: impl Fn(usize, &Piece) -> bool) -> Runs {
-    let (piece, pieces) = connected_components::connect(runs);
-    let kept: Vec<bool> = pieces.iter().enumerate().map(|(number, piece)| keep(number, piece)).collect();
-    let mut out = Runs::default();
-    for v in 0..runs.height() {
-        for place in runs.places(v).filter(|&place| kept[piece[place] as usize]) {
-            out.push(runs.all()[place]);
-        }
-        out.end_row();
-    }
-    out
 }
 
 #[cfg(test)]

@@ -107,8 +107,14 @@ fn close(row: &[u64], width: usize, half: u32, wide: &mut [u64], out: &mut [u64]
 
 /// Sets what is not set of a row of `width` bits, and takes away what is.
 #[inline(always)]
-fn complement(row: &mut [u64], width: usize) {
+pub(super) fn complement(row: &mut [u64], width: usize) {
     row.iter_mut().for_each(|word| *word = !*word);
+    clip(row, width);
+}
+
+/// Takes away what lies beyond the `width` bits of a row.
+#[inline(always)]
+pub(super) fn clip(row: &mut [u64], width: usize) {
     if let Some(last) = row.last_mut() {
         *last &= u64::MAX >> (width.next_multiple_of(WORD) - width);
     }
@@ -116,7 +122,7 @@ fn complement(row: &mut [u64], width: usize) {
 
 /// Sets so many bits to each side of every one that is set.
 #[inline(always)]
-fn spread(row: &[u64], half: u32, out: &mut [u64]) {
+pub(super) fn spread(row: &[u64], half: u32, out: &mut [u64]) {
     let mut before = 0;
     for i in 0..row.len() {
         let own = row[i];

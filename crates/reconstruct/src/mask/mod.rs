@@ -7,11 +7,12 @@
 pub(crate) mod envelope;
 pub(crate) mod opening;
 
+use super::kernels::connected_components::{self, Piece};
 use super::kernels::pixel_runs::{self, Run, Runs};
-use super::kernels::{connected_components, simd};
+use super::kernels::simd;
+use super::kernels::sliding::extremes;
 use crate::base::image::{Mono8, Plane};
 use envelope::Above;
-use opening::Opening;
 
 /// Pixels at or above this value are over-exposed: their phase means nothing.
 pub const SATURATED: u8 = 250;
@@ -33,17 +34,14 @@ pub struct Buffers {
     closed: [Vec<u8>; 3],
     sorted: [Vec<u8>; 3],
     row: Vec<u8>,
-    scratch: Scratch,
+    extremes: [Vec<u8>; 2],
     above: Above,
     bits: Vec<u64>,
-    opening: Opening,
+    wide: Vec<u64>,
     runs: Runs,
     /// The object's runs with the pixels that are over-exposed.
     pub lit: Runs,
 }
-
-/// Rows that the opening reaches up and down.
-const OPENING_ROWS: usize = 2;
 
 /// The default mask: the runs of the object, without over-exposed pixels. `period_px` is the nominal fringe period in the
 /// image.
@@ -53,14 +51,14 @@ pub fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object:
         #[inline(always)]
         || {
             sample_envelope(image, width, buffers);
-            let Buffers { smooth, above, bits, opening, runs, .. } = &mut *buffers;
+            let Buffers { smooth, above, bits, wide, runs, .. } = &mut *buffers;
             let columns = above.find(image, log_threshold(smooth), width / 2, bits);
-            opening.runs(bits, columns, (image.height(), OPENING_ROWS), runs);
+            opening::runs(bits, columns, image.height(), wide, runs);
         },
     );
     let Buffers { runs, row, lit, .. } = buffers;
-    let (piece, pieces) = connected_components::connect(runs);
-    keep(runs, |place| pieces[piece[place] as usize].area >= MIN_COMPONENT_PX, lit);
+    let choose = |pieces: &[Piece]| pieces.iter().map(|piece| piece.area >= MIN_COMPONENT_PX).collect();
+    connected_components::select(runs, choose, lit);
     part(lit, image, row, object);
 }
 
@@ -71,7 +69,7 @@ const SAMPLED_ROWS: usize = 16;
 #[inline(always)]
 fn sample_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
     let (w, h) = (image.width(), image.height());
-    let Buffers { smooth, closed, sorted, row: raised, scratch, .. } = buffers;
+    let Buffers { smooth, closed, sorted, row: raised, extremes: sliding, .. } = buffers;
     for row in closed.iter_mut().chain(sorted.iter_mut()).chain([&mut *raised]) {
         row.resize(w, 0);
     }
@@ -80,8 +78,10 @@ fn sample_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
     for (out, v) in (first..h).step_by(SAMPLED_ROWS).enumerate() {
         let rows = [v.saturating_sub(1), v, (v + 1).min(h - 1)];
         for (v, closed) in rows.into_iter().zip(&mut *closed) {
-            scratch.sliding(image.row(v), raised, width, u8::max);
-            scratch.sliding(raised, closed, width, u8::min);
+            extremes(image.row(v), width / 2, width, sliding, u8::max);
+            raised.copy_from_slice(&sliding[0][..w]);
+            extremes(raised, width / 2, width, sliding, u8::min);
+            closed.copy_from_slice(&sliding[0][..w]);
         }
         let out = smooth.row_mut(out);
         out.copy_from_slice(&closed[1]);
@@ -156,50 +156,11 @@ pub(super) fn otsu_level(histogram: &[u32; 256]) -> usize {
     best.1
 }
 
-/// Pixels that are counted together where they are alike, few enough for a byte to count them; and how many levels that is.
-const ALIKE: usize = 192;
-const LEVELS: u8 = 8;
-
-/// How often each value occurs. Most of a photograph is dark and even: there every level is counted in all pixels at once.
-#[inline(always)]
+/// How often each value occurs.
 pub(super) fn histogram(values: &[u8]) -> [u32; 256] {
-    // Four counts for neighbouring pixels: they are often equal, and a count that has just been written is slow to read.
-    let mut counts = [[0u32; 256]; 4];
-    let (parts, rest) = values.as_chunks::<ALIKE>();
-    for part in parts {
-        let (mut least, mut most) = (u8::MAX, 0);
-        for &x in part {
-            (least, most) = (least.min(x), most.max(x));
-        }
-        if most - least >= LEVELS {
-            for four in part.as_chunks::<4>().0 {
-                for (counts, &value) in counts.iter_mut().zip(four) {
-                    counts[usize::from(value)] += 1;
-                }
-            }
-            continue;
-        }
-        for level in least..=most {
-            let mut count = 0u8;
-            for &x in part {
-                count += u8::from(x == level);
-            }
-            counts[0][usize::from(level)] += u32::from(count);
-        }
-    }
-    for &value in rest {
-        counts[0][usize::from(value)] += 1;
-    }
-    std::array::from_fn(|i| counts.iter().map(|counts| counts[i]).sum())
-}
-
-/// Those of some runs, by their place among all, that are the object's.
-fn keep(runs: &Runs, is_object: impl Fn(usize) -> bool, lit: &mut Runs) {
-    lit.clear();
-    for v in 0..runs.height() {
-        runs.places(v).filter(|&place| is_object(place)).for_each(|place| lit.push(runs.all()[place]));
-        lit.end_row();
-    }
+    let mut counts = [0; 256];
+    values.iter().for_each(|&value| counts[usize::from(value)] += 1);
+    counts
 }
 
 /// The object's runs, parted by over-exposed pixels. `row` is memory to use.
@@ -240,40 +201,9 @@ fn part_saturated(run: Run, pixels: &[u8], row: &mut Vec<u8>, object: &mut Runs)
     );
 }
 
-/// Buffers of the sliding extremes: the passes go from one to the other, so that nothing overlaps.
-#[derive(Debug, Default)]
-struct Scratch([Vec<u8>; 2]);
-
-impl Scratch {
-    /// `out[i]` = extreme of `row[i - width/2 ..= i + width/2]`; the ends repeat. Doubling: log2(width) passes
-    /// of plain slice operations, which the compiler vectorises.
-    #[inline(always)]
-    fn sliding(&mut self, row: &[u8], out: &mut [u8], width: usize, extreme: impl Fn(u8, u8) -> u8 + Copy) {
-        let (Some(&first), Some(&last)) = (row.first(), row.last()) else { return };
-        let half = width / 2;
-        let [from, to] = &mut self.0;
-        from.clear();
-        from.resize(half, first);
-        from.extend_from_slice(row);
-        from.resize(row.len() + 2 * half, last);
-        to.resize(from.len(), 0);
-        let mut covered = 1;
-        while 2 * covered < width {
-            for ((to, &a), &b) in to.iter_mut().zip(from.iter()).zip(&from[covered..]) {
-                *to = extreme(a, b);
-            }
-            std::mem::swap(from, to);
-            covered *= 2;
-        }
-        for ((to, &a), &b) in out.iter_mut().zip(from.iter()).zip(&from[width - covered..]) {
-            *to = extreme(a, b);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{Buffers, Scratch, envelope, histogram, median3x3};
+    use super::{Buffers, envelope, median3x3};
     use crate::base::image::{Mono8, Plane};
     use crate::kernels::pixel_runs::Runs;
     use proptest::prelude::{any, prop_assert_eq, proptest};
@@ -314,33 +244,6 @@ mod tests {
     }
 
     proptest! {
-        #[test]
-        fn sliding_maximum_is_the_maximum(row in proptest::collection::vec(any::<u8>(), 1..60), half in 0usize..9) {
-            let mut out = vec![0; row.len()];
-            Scratch::default().sliding(&row, &mut out, 2 * half + 1, u8::max);
-            for (i, &found) in out.iter().enumerate() {
-                let window = &row[i.saturating_sub(half)..(i + half + 1).min(row.len())];
-                prop_assert_eq!(found, window.iter().copied().max().unwrap_or(0));
-            }
-        }
-
-        #[test]
-        fn every_value_is_counted(
-            levels in proptest::collection::vec((any::<u8>(), 1u8..20), 1..6),
-            noise in proptest::collection::vec(any::<u8>(), 0..1000),
-        ) {
-            let value = |(i, x): (usize, &u8)| {
-                let (level, range) = levels[i / 200 % levels.len()];
-                level.saturating_add(x % range)
-            };
-            let values: Vec<u8> = noise.iter().enumerate().map(value).collect();
-            let counts = histogram(&values);
-            for level in 0..=u8::MAX {
-                let plain = values.iter().filter(|&&x| x == level).count();
-                prop_assert_eq!(counts[usize::from(level)] as usize, plain);
-            }
-        }
-
         #[test]
         fn median_of_nine_is_the_fifth(values in proptest::collection::vec(any::<u8>(), 3 * 40)) {
             let rows = [&values[..40], &values[40..80], &values[80..]];

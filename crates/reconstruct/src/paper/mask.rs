@@ -3,7 +3,8 @@
 
 use super::{box_sum, one_if};
 use crate::base::image::{Mono8, Plane};
-use crate::kernels::connected_components;
+use crate::kernels::connected_components::{self, Piece};
+use crate::kernels::pixel_runs::Runs;
 use crate::mask::{SATURATED, histogram, otsu_level};
 
 /// Om: 1 on the object, 0 elsewhere. `period_px` is the nominal fringe period in the image.
@@ -31,9 +32,15 @@ fn dilate(mask: &Plane<f32>, reach: usize) -> Plane<f32> {
 
 /// The largest of the 8-connected segments of a mask of zeros and ones, the first of several.
 pub(super) fn largest_segment(mask: &Plane<f32>) -> Plane<f32> {
-    let segments = connected_components::label(&mask.map(|x| x as u8));
-    let largest = (1..segments.area.len()).max_by_key(|&i| (segments.area[i], usize::MAX - i));
-    segments.label.map(|label| one_if(Some(label as usize) == largest))
+    let (all, mut largest) = (Runs::of(&mask.map(|x| x as u8)), Runs::default());
+    let choose = |pieces: &[Piece]| {
+        let largest = (0..pieces.len()).max_by_key(|&i| (pieces[i].area, usize::MAX - i));
+        (0..pieces.len()).map(|i| Some(i) == largest).collect()
+    };
+    connected_components::select(&all, choose, &mut largest);
+    let mut out = Plane::filled(mask.width(), mask.height(), 0);
+    largest.paint(&mut out);
+    out.map(f32::from)
 }
 
 #[cfg(test)]

@@ -28,7 +28,7 @@ const ROWS_EACH_SIDE: usize = 2;
 pub const ROWS: usize = 2 * ROWS_EACH_SIDE + 1;
 
 /// Rows whose misfit exceeds the pixel's own by more than this are left out of the mean.
-const MORE_MISFIT: f32 = 0.03;
+pub(crate) const MORE_MISFIT: f32 = 0.03;
 
 /// Row phasors must point the same way at least this much for their mean to be taken: |mean| / mean of |.|.
 const MIN_COHERENCE: f32 = 0.9;
@@ -44,7 +44,7 @@ const GAIN_MAX_PX: f32 = 40.0;
 const GAINS: usize = 2048;
 
 /// Half of the longest period that is demodulated, px.
-const MAX_HALF: f32 = GAIN_MAX_PX / 2.0;
+pub(crate) const MAX_HALF: f32 = GAIN_MAX_PX / 2.0;
 
 impl Gains {
     /// The table, from the interpolated cosine and sine themselves.
@@ -325,7 +325,7 @@ pub(crate) fn phase(c: f32, s: f32) -> f32 {
 mod tests {
     use super::Gains;
     use crate::base::image::{Mono8, Plane};
-    use crate::phase::phasors::{Phasors, average_rows, demodulate, wrapped};
+    use crate::phase::for_tests::{Phasors, average_rows, demodulate, wrapped};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
     use std::f32::consts::TAU;
 

@@ -3,10 +3,10 @@
 
 /// Seven samples at the local period to phase and modulation.
 pub mod demodulate;
+#[cfg(test)]
+pub(crate) mod for_tests;
 /// Fringe period Pm.
 pub mod period;
-#[cfg(test)]
-pub(crate) mod phasors;
 /// Phase errors where the light changes along the fringes' normal.
 pub mod shading;
 /// How well the light of a window fits a fringe.

@@ -10,6 +10,7 @@
 use crate::base::image::{Mono8, Plane};
 use crate::kernels::bit_rows::{WORD, bits_of};
 use crate::kernels::pixel_runs::{Run, Runs, Surroundings, fill_around};
+use crate::kernels::sliding::extremes;
 use crate::kernels::{fast_round, simd};
 
 /// Periods outside this range are not measured, px.
@@ -125,8 +126,8 @@ fn measure_run(row: &[u8], half: usize, reach: usize, buffers: &mut Buffers, raw
     let length = (2 * half + 1).min(row.len());
     let windows = row.len() - length + 1;
     let light = LightWindow { reach, length: (2 * reach + 1).min(row.len()) };
-    extremes(row, light.length, &mut buffers.high, u8::max);
-    extremes(row, light.length, &mut buffers.low, u8::min);
+    extremes(row, 0, light.length, &mut buffers.high, u8::max);
+    extremes(row, 0, light.length, &mut buffers.low, u8::min);
     add_up(row, &mut buffers.sums);
     find_sides(row, light, buffers);
     find_crossings(row.len(), buffers);
@@ -233,25 +234,6 @@ fn add_up(row: &[u8], sums: &mut Vec<u32>) {
     for (out, &x) in sums[1..].iter_mut().zip(row) {
         sum += u32::from(x);
         *out = sum;
-    }
-}
-
-/// `out[0][i]` = extreme of `row[i .. i + length]`, by doubling.
-#[inline(always)]
-fn extremes(row: &[u8], length: usize, out: &mut [Vec<u8>; 2], extreme: impl Fn(u8, u8) -> u8 + Copy) {
-    let [from, to] = out;
-    from.clear();
-    from.extend_from_slice(row);
-    to.resize(row.len(), 0);
-    let mut covered = 1;
-    while covered < length {
-        let step = covered.min(length - covered);
-        let n = row.len() + 1 - covered - step;
-        for ((to, &a), &b) in to[..n].iter_mut().zip(&from[..n]).zip(&from[step..step + n]) {
-            *to = extreme(a, b);
-        }
-        std::mem::swap(from, to);
-        covered += step;
     }
 }
 

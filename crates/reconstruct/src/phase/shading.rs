@@ -146,7 +146,7 @@ mod tests {
     use super::slope;
     use crate::base::image::{Mono8, Plane};
     use crate::phase::demodulate::Gains;
-    use crate::phase::phasors::{Phasors, correct_shading, demodulate, wrapped};
+    use crate::phase::for_tests::{Phasors, correct_shading, demodulate, wrapped};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
     use std::f32::consts::TAU;
 

@@ -9,6 +9,16 @@ use crate::kernels::fast_round::whole;
 /// Steps of a phasor's length in a DN.
 pub const STEPS_PER_DN: f32 = 64.0;
 
+/// Up to this misfit (relative to B) a window shows one surface of one colour: phases are 0.02 mm off (median, board).
+pub(crate) const GOOD_MISFIT: f32 = 0.05;
+
+/// From this misfit on (relative to B) a phase is doubtful: its window may cross an edge of colour or a step. Phases of a
+/// misfit from 0.08 to 0.12 are 0.35 mm off (median, board; `docs/design/experiments.md`).
+pub(crate) const DOUBTFUL_MISFIT: f32 = 0.08;
+
+/// Fainter amplitudes B are taken for this one where noise is divided by them, DN.
+pub(crate) const LEAST_AMPLITUDE_DN: f32 = 0.5;
+
 /// The windows of a frame, by their middle pixel.
 #[derive(Debug)]
 pub struct Windows {

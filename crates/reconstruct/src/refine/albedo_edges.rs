@@ -15,26 +15,12 @@ use crate::kernels::fast_round::whole;
 use crate::kernels::pixel_runs::each_not_0;
 use crate::kernels::row_support::Support;
 use crate::kernels::{simd, subpixel};
-use crate::phase::window_quality;
+use crate::phase::window_quality::{self, DOUBTFUL_MISFIT, GOOD_MISFIT, LEAST_AMPLITUDE_DN};
 use std::f32::consts::TAU;
 use std::ops::Range;
 
-/// Settings of this stage.
-#[derive(Debug, Clone, Copy)]
-pub struct Settings {
-    /// Pixels from this misfit on are doubtful.
-    pub doubtful_misfit: f32,
-    /// Pixels up to this misfit are good: planes are laid through them.
-    pub good_misfit: f32,
-    /// Largest error to expect of a phase that stays, rad.
-    pub max_error: f32,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self { doubtful_misfit: 0.08, good_misfit: 0.05, max_error: 0.25 }
-    }
-}
+/// A phase of which a larger error is expected is dropped, rad.
+const MAX_ERROR: f32 = 0.25;
 
 /// RMS error of a phase relative to the misfit of its window, rad, as measured.
 const ERROR_PER_MISFIT: f32 = 0.8;
@@ -53,6 +39,13 @@ const MIN_SUPPORT: usize = 20;
 /// Variance of the plane at the pixel relative to that of one phase: beyond this it is an extrapolation.
 const MAX_LEVERAGE: f32 = 0.3;
 
+/// Added to the leverage: no plane is surer than one through 200 phases.
+const LEAST_LEVERAGE: f32 = 0.005;
+
+/// Good phases must not lie on one line: the determinant of their moments is at least this share of the product of the
+/// variances.
+const MIN_SPREAD: f32 = 1e-3;
+
 /// Phases around a pixel are not independent: they share windows and rows. The error of the plane at the pixel
 /// is this times what it would be if they were.
 const DEPENDENCE: f32 = 6.0;
@@ -70,7 +63,6 @@ const SAME_SURFACE: f32 = 1.5;
 pub fn refine(
     absolute: &mut Plane<f32>,
     FrameMaps { runs, windows, period, zone: outside, sign }: FrameMaps<'_>,
-    settings: &Settings,
     mut expected: Option<&mut Plane<f32>>,
 ) -> usize {
     let (mut support, mut known, mut doubtful) = (Support::default(), Known::default(), Vec::new());
@@ -96,7 +88,7 @@ pub fn refine(
                             (&windows.misfit.row(v)[columns.clone()], &outside.row(v)[columns]);
                         for (((to, &phase), &misfit), &zone) in to.iter_mut().zip(phase).zip(misfit).zip(zone)
                         {
-                            let good = (misfit <= settings.good_misfit) & (zone == 0);
+                            let good = (misfit <= GOOD_MISFIT) & (zone == 0);
                             *to = if good { phase } else { f32::NAN };
                         }
                     },
@@ -109,7 +101,7 @@ pub fn refine(
                 for run in runs.row(v) {
                     let part = run.columns();
                     let stretch = (&absolute.row(v)[part.clone()], &misfit[part.clone()], &zone[part]);
-                    list_doubtful(stretch, settings.doubtful_misfit, run.start(), &mut doubtful);
+                    list_doubtful(stretch, run.start(), &mut doubtful);
                 }
                 let mut good: [&[f32]; ROWS] = [&[]; ROWS];
                 for (row, good) in good.iter_mut().enumerate() {
@@ -142,7 +134,7 @@ pub fn refine(
                         if let Some(expected) = expected.as_deref_mut() {
                             expected.set(u, v, error);
                         }
-                        if error > settings.max_error {
+                        if error > MAX_ERROR {
                             absolute.set(u, v, f32::NAN);
                             dropped += 1;
                         }
@@ -156,12 +148,7 @@ pub fn refine(
 
 /// Adds the columns of a run, which begins at `start`, whose phase is known and doubtful.
 #[inline(always)]
-fn list_doubtful(
-    (phase, misfit, zone): (&[f32], &[f32], &[u8]),
-    from: f32,
-    start: usize,
-    list: &mut Vec<usize>,
-) {
+fn list_doubtful((phase, misfit, zone): (&[f32], &[f32], &[u8]), start: usize, list: &mut Vec<usize>) {
     const LANES: usize = 64;
     let parts = phase.chunks(LANES).zip(misfit.chunks(LANES)).zip(zone.chunks(LANES));
     let mut doubtful = [0u8; LANES];
@@ -169,7 +156,7 @@ fn list_doubtful(
         let count = phase.len();
         let bytes = doubtful[..count].iter_mut().zip(phase).zip(misfit).zip(zone);
         for (((doubtful, phase), &misfit), &zone) in bytes {
-            *doubtful = u8::from(!phase.is_nan() & (misfit >= from) & (zone == 0));
+            *doubtful = u8::from(!phase.is_nan() & (misfit >= DOUBTFUL_MISFIT) & (zone == 0));
         }
         each_not_0(&doubtful[..count], |i| list.push(start + part * LANES + i));
     }
@@ -178,7 +165,7 @@ fn list_doubtful(
 /// The RMS error to expect of a phase from its window's misfit and the fringe's amplitude, rad.
 #[inline(always)]
 pub fn own_error(misfit: f32, amplitude: f32) -> f32 {
-    let noise = NOISE_DN / amplitude.max(0.5);
+    let noise = NOISE_DN / amplitude.max(LEAST_AMPLITUDE_DN);
     ERROR_PER_MISFIT * (misfit * misfit - noise * noise).max(0.0).sqrt()
 }
 
@@ -357,9 +344,11 @@ fn lay_planes(around: &Around<'_>, phase: &Lanes, carrier: &Lanes) -> Laid {
         let rest = zz - a * xz - b * yz;
         let residual = (if rest > 0.0 { rest } else { 0.0 } * per_n).sqrt();
         let residual = if residual > MIN_RESIDUAL { residual } else { MIN_RESIDUAL };
-        let error = DEPENDENCE * (leverage + 0.005).sqrt() * residual;
-        let good =
-            (n >= MIN_SUPPORT as f32) & (det >= 1e-3 * xx * yy) & (det > 0.0) & (leverage <= MAX_LEVERAGE);
+        let error = DEPENDENCE * (leverage + LEAST_LEVERAGE).sqrt() * residual;
+        let good = (n >= MIN_SUPPORT as f32)
+            & (det >= MIN_SPREAD * xx * yy)
+            & (det > 0.0)
+            & (leverage <= MAX_LEVERAGE);
         laid.phase[i] = own + z0 - a * x0 - b * y0;
         laid.error[i] = if good { error } else { f32::INFINITY };
     }
@@ -368,12 +357,12 @@ fn lay_planes(around: &Around<'_>, phase: &Lanes, carrier: &Lanes) -> Laid {
 
 #[cfg(test)]
 mod tests {
-    use super::{FrameMaps, Settings, refine};
+    use super::{FrameMaps, refine};
     use crate::base::image::{Mono8, Plane};
     use crate::kernels::pixel_runs::Runs;
     use crate::phase::demodulate::Gains;
+    use crate::phase::for_tests::{self, Phasors, demodulate, wrapped};
     use crate::phase::period::tests::measured;
-    use crate::phase::phasors::{self, Phasors, demodulate, wrapped};
     use crate::refine::curvature;
     use std::f32::consts::TAU;
 
@@ -445,13 +434,13 @@ mod tests {
         let runs = Runs::of(&object);
         let mut phasors = demodulate(image, &object, &period, &Gains::new(), 1.0);
         let before = score(&absolute(&phasors));
-        phasors::correct_shading(&mut phasors, &period, &none, 1.0);
-        phasors::average_rows(&mut phasors, &none);
+        for_tests::correct_shading(&mut phasors, &period, &none, 1.0);
+        for_tests::average_rows(&mut phasors, &none);
         let mut phase = absolute(&phasors);
-        let windows = phasors::windows(phasors, &runs);
+        let windows = for_tests::windows(phasors, &runs);
         let maps = FrameMaps { runs: &runs, windows: &windows, period: &period, zone: &none, sign: 1.0 };
         curvature::correct(&mut phase, maps, (5.0, 12.0));
-        refine(&mut phase, maps, &Settings::default(), None);
+        refine(&mut phase, maps, None);
         [before, score(&phase)]
     }
 
@@ -488,9 +477,9 @@ mod tests {
         phasors.misfit.row_mut(60)[100..110].fill(0.01);
         let mut phase = wrapped(&phasors);
         let known = phase.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let windows = phasors::windows(phasors, &runs);
+        let windows = for_tests::windows(phasors, &runs);
         let maps = FrameMaps { runs: &runs, windows: &windows, period: &period, zone: &none, sign: 1.0 };
-        let dropped = refine(&mut phase, maps, &Settings::default(), None);
+        let dropped = refine(&mut phase, maps, None);
         assert_eq!(dropped, known - 10);
         assert!(phase.row(60)[100..110].iter().all(|x| !x.is_nan()));
     }

@@ -14,7 +14,7 @@ use crate::kernels::pixel_runs::Run;
 use crate::kernels::row_support::Support;
 use crate::kernels::subpixel::{self, LANES, Lanes};
 use crate::kernels::{fast_atan2, simd};
-use crate::phase::window_quality;
+use crate::phase::window_quality::{self, LEAST_AMPLITUDE_DN};
 
 /// Mean and ripple of the formula's bias, per second difference over half a period to each side.
 const MEAN: f32 = 0.176;
@@ -130,7 +130,7 @@ fn correct_run(
 #[inline(always)]
 fn noise_and_bias(strength: u16, phase: f32) -> (f32, f32) {
     let amplitude = window_quality::amplitude(strength);
-    let noise = NOISE_RAD_DN / if amplitude < 0.5 { 0.5 } else { amplitude };
+    let noise = NOISE_RAD_DN / if amplitude < LEAST_AMPLITUDE_DN { LEAST_AMPLITUDE_DN } else { amplitude };
     (noise, MEAN - RIPPLE * fast_atan2::cos_of_double(phase))
 }
 
@@ -229,7 +229,7 @@ mod tests {
     use crate::base::image::{Mono8, Plane};
     use crate::kernels::pixel_runs::Runs;
     use crate::phase::demodulate::{Gains, ROWS};
-    use crate::phase::phasors::{average_rows, demodulate, windows, wrapped};
+    use crate::phase::for_tests::{average_rows, demodulate, windows, wrapped};
     use std::f32::consts::TAU;
 
     const W: usize = 160;

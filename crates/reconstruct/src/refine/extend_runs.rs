@@ -15,7 +15,7 @@ use crate::kernels::pixel_runs::{Run, Runs};
 use crate::kernels::{fast_round, prefetch, simd, subpixel};
 use crate::phase::demodulate::{self, Gains};
 use crate::phase::shading;
-use crate::phase::window_quality::{self, Windows};
+use crate::phase::window_quality::{self, DOUBTFUL_MISFIT, Windows};
 use std::f32::consts::TAU;
 use std::ops::Range;
 
@@ -47,7 +47,6 @@ const MAX_BEND: f32 = 0.3;
 /// Pixels up to this distance from the end are demodulated again from this misfit on, if the period of the phases differs by
 /// no more than this share of the counted one.
 const END_PX: usize = 12;
-const DOUBTFUL_MISFIT: f32 = 0.08;
 const PERIOD_CHANGE: f32 = 0.3;
 
 /// What is found is better if its misfit is less than this share of what it was, and the phase changes by no more, rad.

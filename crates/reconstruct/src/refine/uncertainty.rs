@@ -20,7 +20,7 @@ use crate::base::image::Plane;
 use crate::data::encode_sigma;
 use crate::kernels::simd;
 use crate::phase::demodulate;
-use crate::phase::window_quality::{self, Windows};
+use crate::phase::window_quality::{self, GOOD_MISFIT, Windows};
 
 /// Classes of light, and their width in DN.
 const CLASSES: usize = 16;
@@ -40,8 +40,8 @@ const PER_MEDIAN: f32 = 1.0 / 0.4549;
 /// Fourth differences beyond this are steps, rad.
 const MAX_DIFFERENCE: f32 = 2.0;
 
-/// Pixels of more misfit than this are at edges, unless what it is of the light, DN, may be noise.
-const MAX_MISFIT: f32 = 0.05;
+/// Pixels of more than [`GOOD_MISFIT`] are at edges, unless their misfit times the amplitude is below this: then it may be
+/// noise, DN.
 const MAX_NOISE_DN: f32 = 1.0;
 
 /// Mean square of the residual over its lower quartile, for three degrees of freedom.
@@ -64,10 +64,6 @@ const USUAL: f32 = 2.0;
 
 /// The errors that `edges` expects are RMS values over long tails; their core is narrower.
 const CORE_SHARE: f32 = 0.55;
-
-/// Rows that `demodulate::average_rows` takes from on each side, and its bound.
-const ROWS_EACH_SIDE: usize = 2;
-const MORE_MISFIT: f32 = 0.03;
 
 /// The standard uncertainty of every known phase, as a byte ([`encode_sigma`]). `expected`: the error that `edges` found
 /// for doubtful pixels, NaN for all others. `marker_rows`: rows averaged where `zone` is not 0.
@@ -122,12 +118,12 @@ fn averaged_rows(windows: &Windows) -> Plane<u8> {
         || {
             for v in 0..misfit.height() {
                 let (own, rows) = (misfit.row(v), rows.row_mut(v));
-                for k in 1..=ROWS_EACH_SIDE.min(v).min(misfit.height() - 1 - v) {
+                for k in 1..=demodulate::row_reach(v, misfit.height()) {
                     let (above, below) = (misfit.row(v - k), misfit.row(v + k));
                     let (light_above, light_below) = (windows.light.row(v - k), windows.light.row(v + k));
                     for (u, rows) in rows.iter_mut().enumerate() {
                         let known = (light_above[u] > 0) & (light_below[u] > 0);
-                        let takes_part = known & (above[u].max(below[u]) <= own[u] + MORE_MISFIT);
+                        let takes_part = known & (above[u].max(below[u]) <= own[u] + demodulate::MORE_MISFIT);
                         *rows += if takes_part { 2 } else { 0 };
                     }
                 }
@@ -156,7 +152,7 @@ impl Noise {
             for u in 0..absolute.width() {
                 let difference: f32 = WEIGHTS.iter().zip(phases).map(|(w, phase)| w * phase[u]).sum();
                 let amplitude = window_quality::amplitude(strength[u]);
-                let level = (misfit[u] < MAX_MISFIT) | (misfit[u] * amplitude < MAX_NOISE_DN);
+                let level = (misfit[u] < GOOD_MISFIT) | (misfit[u] * amplitude < MAX_NOISE_DN);
                 // Not so for NaN.
                 if (difference.abs() < MAX_DIFFERENCE) & level {
                     // Of one row, if rows were independent: what it is divided by again.

@@ -22,23 +22,7 @@ pub(crate) const LANES: usize = 16;
 /// One coordinate of some points.
 type Lanes = [f32; LANES];
 
-/// The points of a row, in the world, with room to either side; NaN: none.
-#[derive(Debug, Default)]
-pub(crate) struct Points {
-    pub x: Vec<f32>,
-    pub y: Vec<f32>,
-    pub z: Vec<f32>,
-}
-
-impl Points {
-    /// The first `width` of each coordinate: of one length, so that one check of a place serves for all rows.
-    #[inline(always)]
-    pub fn row(&self, width: usize) -> Row<'_> {
-        [&self.x[..width], &self.y[..width], &self.z[..width]]
-    }
-}
-
-/// The coordinates of the points of a row.
+/// The coordinates of the points of a row, in the world, with room to either side; NaN: none.
 pub(crate) type Row<'a> = [&'a [f32]; 3];
 
 #[inline(always)]
@@ -177,7 +161,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{LANES, Points, orient};
+    use super::{LANES, orient};
     use crate::triangulate::ray_table::RayTable;
     use crate::triangulate::triangulator::tests::strong_lenses;
     use nalgebra::{Point3, Vector3};
@@ -189,34 +173,36 @@ mod tests {
         let table = RayTable::new(&pair);
         let camera = pair.camera.world_from_device.isometry();
         let world = |x: f64, y: f64| camera.transform_point(&Point3::new(x, y, 3.0 - x));
-        let rows: Vec<Points> = (0..20)
+        let rows: Vec<[Vec<f32>; 3]> = (0..20)
             .map(|v| {
-                let mut row = Points::default();
+                let mut row = [Vec::new(), Vec::new(), Vec::new()];
                 for u in -3..3 + 2 * LANES as i32 {
                     let point = world(f64::from(u - 10) * 1e-3, f64::from(v - 10) * 1e-3).cast::<f32>();
                     let hole = (u, v) == (10, 10) || !(0..20).contains(&u);
-                    row.x.push(if hole { f32::NAN } else { point.x });
-                    row.y.push(if hole { f32::NAN } else { point.y });
-                    row.z.push(if hole { f32::NAN } else { point.z });
+                    row[0].push(if hole { f32::NAN } else { point.x });
+                    row[1].push(if hole { f32::NAN } else { point.y });
+                    row[2].push(if hole { f32::NAN } else { point.z });
                 }
                 row
             })
             .collect();
         let width = 6 + 2 * LANES;
         let none = || vec![f32::NAN; width];
-        let empty = Points { x: none(), y: none(), z: none() };
+        let empty = [none(), none(), none()];
         let expected = (camera.rotation * Vector3::new(-1.0, 0.0, -1.0).normalize()).cast::<f32>();
         for (u, v) in [(0, 0), (19, 19), (9, 10), (13, 10), (5, 5)] {
             let row = |dv: i32| usize::try_from(v + dv).ok().and_then(|v| rows.get(v)).unwrap_or(&empty);
             let place = 3 + u / LANES * LANES;
-            let near = [row(-3), row(-1), row(0), row(1), row(3)].map(|row| row.row(width));
+            let near = [row(-3), row(-1), row(0), row(1), row(3)]
+                .map(|row| row.each_ref().map(|axis| &axis[..width]));
             let found = orient::<true>(&near, place, &table);
             let i = u % LANES;
             let n = Vector3::from(found.normal.map(|axis| axis[i]));
             assert!((n - expected).norm() < 2e-3, "({u}, {v}): {n:?}, not {expected:?}");
             assert_eq!(found.good[i], 1, "({u}, {v})");
         }
-        let alone = [&empty, &empty, &rows[5], &empty, &empty].map(|row| row.row(width));
+        let alone =
+            [&empty, &empty, &rows[5], &empty, &empty].map(|row| row.each_ref().map(|axis| &axis[..width]));
         let found = orient::<true>(&alone, 3, &table);
         assert_eq!(found.good, [0; LANES]);
     }

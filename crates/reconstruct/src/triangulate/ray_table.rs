@@ -73,16 +73,6 @@ pub(crate) struct Sightline {
     terms: [f32; TERMS],
 }
 
-/// Coordinates of points in a row of the table's blocks; NaN where there is none.
-#[derive(Debug)]
-pub(crate) struct PointRow<'a> {
-    pub x: &'a mut [f32],
-    pub y: &'a mut [f32],
-    pub z: &'a mut [f32],
-    /// Metres along the line of sight per rad of phase; empty where it is not asked for.
-    pub metres_per_rad: &'a mut [f32],
-}
-
 impl RayTable {
     /// Tabulates a pair of camera and projector.
     pub fn new(pair: &CameraProjector) -> Self {
@@ -178,11 +168,18 @@ impl RayTable {
     }
 
     /// The points of the pixels of some blocks of [`BLOCK_PX`]. `fringes`: absolute phase of each pixel in fringes, NaN
-    /// where it is not known and beyond the lines of sight of `line`. All of `out` is written.
+    /// where it is not known and beyond the lines of sight of `line`. All coordinates are written, NaN where there is no
+    /// point; and metres along the line of sight per rad of phase, unless that is empty.
     #[inline(always)]
-    pub(crate) fn points<const SCALE: bool>(&self, line: &Line, fringes: &[f32], out: &mut PointRow<'_>) {
+    pub(crate) fn points(
+        &self,
+        line: &Line,
+        fringes: &[f32],
+        [x, y, z]: [&mut [f32]; 3],
+        metres_per_rad: &mut [f32],
+    ) {
         let blocks = fringes.as_chunks().0;
-        let (x, y, z) = (out.x.as_chunks_mut().0, out.y.as_chunks_mut().0, out.z.as_chunks_mut().0);
+        let (x, y, z) = (x.as_chunks_mut().0, y.as_chunks_mut().0, z.as_chunks_mut().0);
         let mut sight = [[0f32; BLOCK_PX]; 3 + TERMS];
         for (block, (((fringes, x), y), z)) in blocks.iter().zip(x).zip(y).zip(z).enumerate() {
             let fringes: &Block = fringes;
@@ -225,9 +222,8 @@ impl RayTable {
                 y[i] = if inside { py } else { f32::NAN };
                 z[i] = if inside { pz } else { f32::NAN };
             }
-            if SCALE {
-                let slopes = (&s, &depth, self.per_fringe / TAU as f32);
-                scale(&sight, slopes, &mut out.metres_per_rad[block * BLOCK_PX..(block + 1) * BLOCK_PX]);
+            if let Some(out) = metres_per_rad.get_mut(block * BLOCK_PX..(block + 1) * BLOCK_PX) {
+                scale(&sight, (&s, &depth, self.per_fringe / TAU as f32), out);
             }
         }
     }
@@ -363,7 +359,7 @@ fn through(points: &[[f64; 2]; TERMS]) -> Option<[f64; TERMS]> {
 
 #[cfg(test)]
 mod tests {
-    use super::{BLOCK_PX, Line, NODE_PX, PointRow, RayTable};
+    use super::{BLOCK_PX, Line, NODE_PX, RayTable};
     use crate::triangulate::triangulator::Triangulator;
     use crate::triangulate::triangulator::tests::strong_lenses;
 
@@ -388,8 +384,7 @@ mod tests {
                     fringes.resize(room, f32::NAN);
                     let mut found = [(); 4].map(|()| vec![0f32; room]);
                     let [x, y, z, scale] = &mut found;
-                    let mut out = PointRow { x, y, z, metres_per_rad: scale };
-                    table.points::<true>(&line, &fringes, &mut out);
+                    table.points(&line, &fringes, [x, y, z], scale);
                     found
                 };
                 let ([x, y, z, scale], next) = (points(0.0), points(0.01));
