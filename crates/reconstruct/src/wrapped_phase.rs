@@ -155,7 +155,7 @@ impl Input<'_> {
         let (w, h) = (self.image.width(), self.image.height());
         let average = bias::Average::new(self.pair);
         let reach = average.reach();
-        const LATER: usize = demodulate::ROWS / 2;
+        const LATER: usize = demodulate::ROWS_EACH_SIDE;
         buffers.raw.iter_mut().for_each(|ring| empty(ring, 2 * reach + 1, w));
         buffers.bridged.iter_mut().for_each(|ring| empty(ring, BRIDGED, w));
         buffers.units.iter_mut().for_each(|ring| empty(ring, BRIDGED, w));
@@ -290,7 +290,7 @@ impl Input<'_> {
             [&unit_c[row][room], &unit_s[row][room], &length[row][room], &misfit[v % misfit.len()][room]]
         };
         let reach = demodulate::row_reach(v, self.image.height());
-        const REACH: usize = demodulate::ROWS / 2;
+        const REACH: usize = demodulate::ROWS_EACH_SIDE;
         // Rows beyond the frame take no part.
         let beyond = [&zeros[room]; 4];
         let mut around = [[beyond; 2]; REACH];

@@ -11,7 +11,7 @@ use crate::kernels::bit_rows::{self, WORD, bits_where};
 use crate::kernels::fast_round::nearest;
 use crate::kernels::pixel_runs::Runs;
 use crate::kernels::simd;
-use crate::kernels::subpixel::part;
+use crate::kernels::subpixel::{part, put};
 use std::f32::consts::TAU;
 
 /// Side of a cell, px.
@@ -231,11 +231,10 @@ impl Patches {
                 }
             }
             for (v, add) in (top..phase.height()).zip(&add) {
-                let row = &mut phase.row_mut(v)[left..];
-                match row.first_chunk_mut::<CELL_PX>() {
-                    Some(to) => to.iter_mut().zip(add).for_each(|(to, add)| *to += add),
-                    None => row.iter_mut().zip(add).for_each(|(to, add)| *to += add),
-                }
+                let row = phase.row_mut(v);
+                let mut sum: [f32; CELL_PX] = part(row, left, f32::NAN);
+                sum.iter_mut().zip(add).for_each(|(sum, add)| *sum += add);
+                put(row, left, &sum);
             }
         }
     }
@@ -255,11 +254,7 @@ pub(super) fn block(plane: &Plane<f32>, left: usize, top: usize) -> Block {
 #[inline(always)]
 fn write(plane: &mut Plane<f32>, left: usize, top: usize, values: &Block) {
     for (v, values) in (top..plane.height()).zip(values) {
-        let row = &mut plane.row_mut(v)[left..];
-        match row.first_chunk_mut::<CELL_PX>() {
-            Some(to) => *to = *values,
-            None => row.iter_mut().zip(values).for_each(|(to, value)| *to = *value),
-        }
+        put(plane.row_mut(v), left, values);
     }
 }
 

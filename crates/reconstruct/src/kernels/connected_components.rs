@@ -45,26 +45,24 @@ pub fn connect(runs: &Runs) -> (Vec<u32>, Vec<Piece>) {
     }
     // The smallest run is a component's root: its number is known before that of its others.
     let (mut piece, mut pieces) = (vec![0u32; parent.len()], Vec::<Piece>::new());
-    for v in 0..runs.height() {
-        for place in runs.places(v) {
-            let root = find(&mut parent, place as u32) as usize;
-            if root == place {
-                piece[place] = pieces.len() as u32;
-                pieces.push(Piece { area: 0, first: v as u32, last: v as u32 });
-            }
-            piece[place] = piece[root];
-            let piece = &mut pieces[piece[root] as usize];
-            piece.area += runs.all()[place].columns().len() as u32;
-            piece.last = v as u32;
+    for (v, place, run) in runs.each() {
+        let root = find(&mut parent, place as u32) as usize;
+        if root == place {
+            piece[place] = pieces.len() as u32;
+            pieces.push(Piece { area: 0, first: v as u32, last: v as u32 });
         }
+        piece[place] = piece[root];
+        let piece = &mut pieces[piece[root] as usize];
+        piece.area += run.columns().len() as u32;
+        piece.last = v as u32;
     }
     (piece, pieces)
 }
 
-/// The runs of the components that are chosen among all of `runs`, in the order of these.
-pub fn select(runs: &Runs, choose: impl FnOnce(&[Piece]) -> Vec<bool>, out: &mut Runs) {
+/// The runs of the components that are chosen, by the component of each run and the components, in the order of `runs`.
+pub fn select(runs: &Runs, choose: impl FnOnce(&[u32], &[Piece]) -> Vec<bool>, out: &mut Runs) {
     let (piece, pieces) = connect(runs);
-    let chosen = choose(&pieces);
+    let chosen = choose(&piece, &pieces);
     out.clear();
     for v in 0..runs.height() {
         for place in runs.places(v).filter(|&place| chosen[piece[place] as usize]) {
@@ -99,10 +97,8 @@ mod tests {
         let runs = Runs::of(mask);
         let (piece, pieces) = connect(&runs);
         let mut label = Plane::filled(mask.width(), mask.height(), 0u32);
-        for v in 0..runs.height() {
-            for place in runs.places(v) {
-                label.row_mut(v)[runs.all()[place].columns()].fill(piece[place] + 1);
-            }
+        for (v, place, run) in runs.each() {
+            label.row_mut(v)[run.columns()].fill(piece[place] + 1);
         }
         (label, [0].into_iter().chain(pieces.iter().map(|piece| piece.area)).collect())
     }

@@ -110,6 +110,12 @@ impl Runs {
         &self.runs[self.places(v)]
     }
 
+    /// All runs, each with its row and its place among [`Runs::all`].
+    pub fn each(&self) -> impl Iterator<Item = (usize, usize, Run)> {
+        let places = (0..self.height()).flat_map(|v| self.places(v).map(move |place| (v, place)));
+        places.map(|(v, place)| (v, place, self.runs[place]))
+    }
+
     /// All runs.
     pub fn all(&self) -> &[Run] {
         &self.runs

@@ -75,7 +75,7 @@ pub(crate) fn chunk<T, const N: usize>(row: &[T], first: usize) -> &[T; N] {
 
 /// Writes a whole block to a row, as far as that goes: what follows is of no matter, or is written next.
 #[inline(always)]
-pub(crate) fn put<T: Copy>(row: &mut [T], first: usize, lanes: &[T; LANES]) {
+pub(crate) fn put<T: Copy, const N: usize>(row: &mut [T], first: usize, lanes: &[T; N]) {
     let row = &mut row[first..];
     match row.first_chunk_mut() {
         Some(all) => *all = *lanes,
@@ -86,7 +86,7 @@ pub(crate) fn put<T: Copy>(row: &mut [T], first: usize, lanes: &[T; LANES]) {
 /// Apart, because the compiler would make one copy of both cases, of a length that it does not know: a call.
 #[cold]
 #[inline(never)]
-fn put_end<T: Copy>(row: &mut [T], lanes: &[T; LANES]) {
+fn put_end<T: Copy, const N: usize>(row: &mut [T], lanes: &[T; N]) {
     row.copy_from_slice(&lanes[..row.len()]);
 }
 

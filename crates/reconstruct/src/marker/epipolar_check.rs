@@ -107,21 +107,17 @@ pub fn check(
 ) -> Dashes {
     let pair = triangulator.pair();
     let Some(rows) = pair.rows else { return Dashes::default() };
-    let MarkerPieces { cores, of, pieces, number } = marker;
-    let mut crossings = vec![Vec::new(); pieces.len()];
-    for v in 0..cores.height() {
-        for place in cores.places(v) {
-            let piece = of[place] as usize;
-            let off = |u: &usize| wrapped.at(*u, v).abs();
-            let columns = cores.all()[place].columns();
-            let Some(u) = columns.min_by(|a, b| off(a).total_cmp(&off(b))) else { continue };
-            let Some(marker) = pair.markers.get(usize::from(number[piece]).wrapping_sub(1)) else { continue };
-            let phase = TAU * f64::from(*marker) + f64::from(wrapped.at(u, v));
-            let Some((row, distance)) = triangulator.panel_row(roi.u + u, roi.v + v, phase) else { continue };
-            let row = rows.of(row, distance);
-            let light = f64::from(window_quality::light(light.at(u, v)));
-            crossings[piece].push(Crossing { v, row, distance, light });
-        }
+    let mut crossings = vec![Vec::new(); marker.pieces.len()];
+    for (v, columns, piece) in marker.runs() {
+        let off = |u: &usize| wrapped.at(*u, v).abs();
+        let Some(u) = columns.min_by(|a, b| off(a).total_cmp(&off(b))) else { continue };
+        let number = usize::from(marker.number[piece]).wrapping_sub(1);
+        let Some(fringe) = pair.markers.get(number) else { continue };
+        let phase = TAU * f64::from(*fringe) + f64::from(wrapped.at(u, v));
+        let Some((row, distance)) = triangulator.panel_row(roi.u + u, roi.v + v, phase) else { continue };
+        let row = rows.of(row, distance);
+        let light = f64::from(window_quality::light(light.at(u, v)));
+        crossings[piece].push(Crossing { v, row, distance, light });
     }
     let period = pair.pattern.marker_period_px;
     let seen: Vec<Vec<Stretch>> = crossings
@@ -134,7 +130,7 @@ pub fn check(
     let agrees =
         |x: &&Stretch| x.is_near() && usual.is_some_and(|usual| (x.offset - usual).abs() <= MOST_SPREAD);
     let mut all = Dashes::default();
-    for (stretches, number) in seen.iter().zip(number) {
+    for (stretches, number) in seen.iter().zip(&mut marker.number) {
         let agreeing = stretches.iter().filter(agrees).count();
         // One of two may agree by chance.
         if !stretches.is_empty() && 2 * agreeing <= stretches.len() {

@@ -101,8 +101,7 @@ pub fn ridges(
         },
     );
     let mut ridges = Runs::default();
-    let is_long = |piece: &Piece| piece.rows() >= MIN_DASHES * pair.marker_period_px;
-    let choose = |pieces: &[Piece]| pieces.iter().map(is_long).collect();
+    let choose = |_: &[u32], pieces: &[Piece]| pieces.iter().map(|piece| is_long(piece, pair)).collect();
     connected_components::select(&buffers.found, choose, &mut ridges);
     ridges
 }
@@ -118,23 +117,25 @@ pub fn detect(ridges: &Runs, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &C
         }
         core.end_row();
     }
-    let (piece, pieces) = connected_components::connect(&core);
-    let mut widths = vec![0f32; pieces.len()];
-    for v in 0..core.height() {
-        for place in core.places(v) {
-            let period = &period.row(v)[core.all()[place].columns()];
-            widths[piece[place] as usize] += period.iter().sum::<f32>();
-        }
-    }
-    let is_fringe = |(piece, width): (&Piece, f32)| {
-        let area = piece.area as f32;
-        piece.rows() >= MIN_DASHES * pair.marker_period_px
-            && area / piece.rows() <= MAX_CORE_PERIODS * width / area
-    };
     let mut cores = Runs::default();
-    let choose = |pieces: &[Piece]| pieces.iter().zip(widths).map(is_fringe).collect();
+    let choose = |piece: &[u32], pieces: &[Piece]| {
+        let mut periods = vec![0f32; pieces.len()];
+        for (v, place, run) in core.each() {
+            periods[piece[place] as usize] += period.row(v)[run.columns()].iter().sum::<f32>();
+        }
+        let is_fringe = |(piece, periods): (&Piece, f32)| {
+            let area = piece.area as f32;
+            is_long(piece, pair) && area / piece.rows() <= MAX_CORE_PERIODS * periods / area
+        };
+        pieces.iter().zip(periods).map(is_fringe).collect()
+    };
     connected_components::select(&core, choose, &mut cores);
     cores
+}
+
+/// Whether a piece has as many dashes as a marker.
+fn is_long(piece: &Piece, pair: &CameraProjector) -> bool {
+    piece.rows() >= MIN_DASHES * pair.marker_period_px
 }
 
 /// The pixels of a run for which `is` holds. Stretches of which `may` tells at once that it holds nowhere are passed over.

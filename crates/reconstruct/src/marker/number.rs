@@ -20,21 +20,17 @@ const MOST_OF_ANOTHER: f32 = 0.1;
 
 /// Gives each piece the number of the marker that it is; 0 where that is not certain. `roi` is where they lie in the frame.
 pub fn assign(marker: &mut MarkerPieces, roi: Roi, pair: &CameraProjector) {
-    let MarkerPieces { cores, of, pieces, number: numbers } = marker;
-    let mut samples = vec![Vec::new(); pieces.len()];
-    let mut seen = vec![0u32; pieces.len()];
-    for v in 0..cores.height() {
-        for place in cores.places(v) {
-            let piece = of[place] as usize;
-            for u in cores.all()[place].columns() {
-                if seen[piece].is_multiple_of(pieces[piece].area.div_ceil(SAMPLES as u32)) {
-                    samples[piece].push((roi.u + u, roi.v + v));
-                }
-                seen[piece] += 1;
+    let mut samples = vec![Vec::new(); marker.pieces.len()];
+    let mut seen = vec![0u32; marker.pieces.len()];
+    for (v, columns, piece) in marker.runs() {
+        for u in columns {
+            if seen[piece].is_multiple_of(marker.pieces[piece].area.div_ceil(SAMPLES as u32)) {
+                samples[piece].push((roi.u + u, roi.v + v));
             }
+            seen[piece] += 1;
         }
     }
-    for (out, samples) in numbers.iter_mut().zip(&samples) {
+    for (out, samples) in marker.number.iter_mut().zip(&samples) {
         *out = number(samples, pair);
     }
 }

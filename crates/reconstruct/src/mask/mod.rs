@@ -32,7 +32,6 @@ const MAX_ABOVE_BLACK_DN: u8 = 8;
 pub struct Buffers {
     smooth: Plane<u8>,
     closed: [Vec<u8>; 3],
-    sorted: [Vec<u8>; 3],
     row: Vec<u8>,
     extremes: [Vec<u8>; 2],
     above: Above,
@@ -57,8 +56,8 @@ pub fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object:
         },
     );
     let Buffers { runs, row, lit, .. } = buffers;
-    let choose = |pieces: &[Piece]| pieces.iter().map(|piece| piece.area >= MIN_COMPONENT_PX).collect();
-    connected_components::select(runs, choose, lit);
+    let is_large = |piece: &Piece| piece.area >= MIN_COMPONENT_PX;
+    connected_components::select(runs, |_, pieces| pieces.iter().map(is_large).collect(), lit);
     part(lit, image, row, object);
 }
 
@@ -69,8 +68,8 @@ const SAMPLED_ROWS: usize = 16;
 #[inline(always)]
 fn sample_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
     let (w, h) = (image.width(), image.height());
-    let Buffers { smooth, closed, sorted, row: raised, extremes: sliding, .. } = buffers;
-    for row in closed.iter_mut().chain(sorted.iter_mut()).chain([&mut *raised]) {
+    let Buffers { smooth, closed, row: raised, extremes: sliding, .. } = buffers;
+    for row in closed.iter_mut().chain([&mut *raised]) {
         row.resize(w, 0);
     }
     let first = (h / 2).min(SAMPLED_ROWS / 2);
@@ -86,7 +85,7 @@ fn sample_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
         let out = smooth.row_mut(out);
         out.copy_from_slice(&closed[1]);
         if v > 0 && v + 1 < h && w >= 3 {
-            median3x3([&closed[0], &closed[1], &closed[2]], sorted, &mut out[1..w - 1]);
+            median3x3([&closed[0], &closed[1], &closed[2]], &mut out[1..w - 1]);
         }
     }
 }
@@ -94,27 +93,19 @@ fn sample_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
 /// 3 x 3 median of three rows: the median of the largest of the column minima, the median of the column medians and
 /// the smallest of the column maxima. The first and the last column have none.
 #[inline(always)]
-fn median3x3([above, own, below]: [&[u8]; 3], [low, middle, high]: &mut [Vec<u8>; 3], out: &mut [u8]) {
-    let w = own.len();
-    let (above, below) = (&above[..w], &below[..w]);
-    let (low, middle, high) = (&mut low[..w], &mut middle[..w], &mut high[..w]);
-    for u in 0..w {
-        let (a, b, c) = (above[u], own[u], below[u]);
+fn median3x3([above, own, below]: [&[u8]; 3], out: &mut [u8]) {
+    let sorted = |a: u8, b: u8, c: u8| {
         let (less, more) = (a.min(b), a.max(b));
-        low[u] = less.min(c);
-        middle[u] = less.max(more.min(c));
-        high[u] = more.max(c);
-    }
-    let median = |x: u8, y: u8, z: u8| x.min(y).max(x.max(y).min(z));
-    let (low, middle, high) = (&low[..], &middle[..], &high[..]);
-    let (l0, l1, l2) = (&low[..w - 2], &low[1..w - 1], &low[2..]);
-    let (m0, m1, m2) = (&middle[..w - 2], &middle[1..w - 1], &middle[2..]);
-    let (h0, h1, h2) = (&high[..w - 2], &high[1..w - 1], &high[2..]);
-    let out = &mut out[..w - 2];
-    for u in 0..w - 2 {
-        let low = l0[u].max(l1[u]).max(l2[u]);
-        let high = h0[u].min(h1[u]).min(h2[u]);
-        out[u] = median(low, median(m0[u], m1[u], m2[u]), high);
+        [less.min(c), less.max(more.min(c)), more.max(c)]
+    };
+    let n = out.len();
+    let (above, own, below) = (&above[..n + 2], &own[..n + 2], &below[..n + 2]);
+    for u in 0..n {
+        let [l0, m0, h0] = sorted(above[u], own[u], below[u]);
+        let [l1, m1, h1] = sorted(above[u + 1], own[u + 1], below[u + 1]);
+        let [l2, m2, h2] = sorted(above[u + 2], own[u + 2], below[u + 2]);
+        let [_, middle, _] = sorted(m0, m1, m2);
+        [_, out[u], _] = sorted(l0.max(l1).max(l2), middle, h0.min(h1).min(h2));
     }
 }
 
@@ -247,8 +238,8 @@ mod tests {
         #[test]
         fn median_of_nine_is_the_fifth(values in proptest::collection::vec(any::<u8>(), 3 * 40)) {
             let rows = [&values[..40], &values[40..80], &values[80..]];
-            let (mut sorted, mut out) = (std::array::from_fn(|_| vec![0; 40]), vec![0; 38]);
-            median3x3(rows, &mut sorted, &mut out);
+            let mut out = vec![0; 38];
+            median3x3(rows, &mut out);
             for (u, &found) in out.iter().enumerate() {
                 let mut nine: Vec<u8> = rows.iter().flat_map(|row| row[u..u + 3].to_vec()).collect();
                 nine.sort_unstable();

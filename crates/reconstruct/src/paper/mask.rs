@@ -33,7 +33,7 @@ fn dilate(mask: &Plane<f32>, reach: usize) -> Plane<f32> {
 /// The largest of the 8-connected segments of a mask of zeros and ones, the first of several.
 pub(super) fn largest_segment(mask: &Plane<f32>) -> Plane<f32> {
     let (all, mut largest) = (Runs::of(&mask.map(|x| x as u8)), Runs::default());
-    let choose = |pieces: &[Piece]| {
+    let choose = |_: &[u32], pieces: &[Piece]| {
         let largest = (0..pieces.len()).max_by_key(|&i| (pieces[i].area, usize::MAX - i));
         (0..pieces.len()).map(|i| Some(i) == largest).collect()
     };

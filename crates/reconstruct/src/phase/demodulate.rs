@@ -22,7 +22,7 @@ use std::hint::black_box;
 use std::ops::Range;
 
 /// Rows averaged on each side.
-const ROWS_EACH_SIDE: usize = 2;
+pub(crate) const ROWS_EACH_SIDE: usize = 2;
 
 /// Rows that a mean is taken of.
 pub const ROWS: usize = 2 * ROWS_EACH_SIDE + 1;

@@ -197,12 +197,10 @@ impl RayTable {
             let (mut s, mut w, mut depth) = ([0f32; BLOCK_PX], [0f32; BLOCK_PX], [0f32; BLOCK_PX]);
             for i in 0..BLOCK_PX {
                 s[i] = fringes[i] * self.per_fringe - 1.0;
-                let mut sum = terms[5][i];
-                sum = sum * s[i] + terms[4][i];
-                sum = sum * s[i] + terms[3][i];
-                sum = sum * s[i] + terms[2][i];
-                sum = sum * s[i] + terms[1][i];
-                w[i] = sum * s[i] + terms[0][i];
+                w[i] = terms[TERMS - 1][i];
+                for k in (0..TERMS - 1).rev() {
+                    w[i] = w[i] * s[i] + terms[k][i];
+                }
                 depth[i] = 1.0 / w[i];
             }
             let ([x0, y0, z0], [low, high]) = (self.centre, &self.volume);
