@@ -34,6 +34,11 @@ pub enum Method {
 }
 
 /// Reconstructs the frames of one camera.
+///
+/// It is made once for a camera of a calibration, by [`crate::Reconstructor`] or by whoever reconstructs a session,
+/// and holds the camera's tables, which take longer to make than a frame to reconstruct. It is not changed by frames,
+/// so that any number of threads may use it at once. [`Pipeline::prepare`] finds the phases of a frame,
+/// [`crate::frame_set::settle`] the fringe orders of all frames of a trigger, [`Pipeline::finish`] the cloud.
 #[derive(Debug)]
 pub struct Pipeline {
     triangulator: Triangulator,
@@ -46,8 +51,8 @@ pub struct Pipeline {
     workspace: Arc<Workspace>,
 }
 
-/// Memory that the stages of one frame leave to the next, of whichever camera and on whichever thread. Who runs several
-/// pipelines gives them one ([`Pipeline::with_workspace`]).
+/// Memory that the stages of one frame leave to the next, of any camera and on any thread. Whoever runs several
+/// pipelines gives all of them the same ([`Pipeline::with_workspace`]).
 #[derive(Debug, Default)]
 pub struct Workspace {
     buffers: Pool<Buffers>,
@@ -62,7 +67,7 @@ struct Buffers {
 }
 
 impl Pipeline {
-    /// A pipeline for one camera.
+    /// A pipeline for the camera of `triangulator`. With `keep_maps` each result holds the maps of all stages.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let pair = triangulator.pair();
         let (bias, table) = (Bias::new(&pair.pattern), Arc::new(RayTable::new(pair)));
@@ -70,19 +75,19 @@ impl Pipeline {
         Self { triangulator, table, gains, bias, method, keep_maps, uncertainty: false, workspace }
     }
 
-    /// Uses this memory, instead of its own.
+    /// Uses this memory instead of memory of its own.
     #[must_use]
     pub fn with_workspace(self, workspace: Arc<Workspace>) -> Self {
         Self { workspace, ..self }
     }
 
-    /// Also gives every point its standard uncertainty, which the paper's method has none of.
+    /// Also gives every point its standard uncertainty, m. The paper's method has none.
     #[must_use]
     pub fn with_uncertainty(self, uncertainty: bool) -> Self {
         Self { uncertainty, ..self }
     }
 
-    /// What it triangulates with.
+    /// The geometry of the camera and its projector, solved exactly.
     pub fn triangulator(&self) -> &Triangulator {
         &self.triangulator
     }
@@ -93,7 +98,7 @@ impl Pipeline {
         [camera.width, camera.height]
     }
 
-    /// Reconstructs one frame by itself: its fringe orders have no other witness than its own marker.
+    /// Reconstructs one frame by itself: its fringe orders follow from its own marker alone.
     pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
         match self.ordered(image) {
             Ok(prepared) => self.finish(prepared),
@@ -101,9 +106,9 @@ impl Pipeline {
         }
     }
 
-    /// The absolute phases of one frame by itself; NaN where there is none, any number beside its runs. Then all phases as they
-    /// are within each patch, which may lack whole turns. The error is that of [`Pipeline::prepare`], or the refusal of a frame
-    /// whose orders contradict each other.
+    /// The absolute phases of one frame by itself; NaN where there is none, any number beside its runs. Then all
+    /// phases as they are within each patch, which may lack whole turns. The error is that of [`Pipeline::prepare`],
+    /// or the refusal of a frame whose orders contradict each other.
     pub fn absolute(&self, image: Mono8<'_>) -> Result<(UnwrappedFrame, Plane<f32>), Box<Reconstruction>> {
         let mut prepared = self.ordered(image)?;
         let in_patches = prepared.absolute.clone();
@@ -111,7 +116,7 @@ impl Pipeline {
         Ok((prepared, in_patches))
     }
 
-    /// One frame whose orders no other camera has been asked for.
+    /// The phases of one frame, whose fringe orders are found without other cameras.
     fn ordered(&self, image: Mono8<'_>) -> Result<UnwrappedFrame, Box<Reconstruction>> {
         let mut prepared = self.prepare(image)?;
         let view = View { id: "", triangulator: &self.triangulator, head: 0, prepared: &mut prepared };
@@ -121,8 +126,8 @@ impl Pipeline {
         }
     }
 
-    /// Finds the phases of one frame. The error is what no other camera has a part in: the refusal of a frame that shows
-    /// nothing, and all that the paper's method makes of any frame.
+    /// Finds the phases of one frame. The error is a finished result: the refusal of a frame that shows nothing, and
+    /// what the paper's method, which needs no other camera, makes of any frame.
     pub fn prepare(&self, image: Mono8<'_>) -> Result<UnwrappedFrame, Box<Reconstruction>> {
         let mut clock = Clock::default();
         let mut counts = Counts::default();
@@ -159,7 +164,8 @@ impl Pipeline {
         self.phases(part, (runs, &lit), roi, clock, counts)
     }
 
-    /// The phases of the part of a frame that holds the object, whose runs these are: without and with what is over-exposed.
+    /// The phases of the part of a frame that holds the object, whose runs these are: without and with what is
+    /// over-exposed.
     fn phases(
         &self,
         image: Plane<u8>,
@@ -193,7 +199,8 @@ impl Pipeline {
             self.workspace.buffers.give(buffers);
             let Dashes { stretches, displaced, .. } = counts.dashes;
             let reason = format!(
-                "expected the marker's dashes where the calibration has them, found {displaced} of {stretches} stretches of them elsewhere; {WHY_ELSEWHERE}"
+                "expected the marker's dashes where the calibration has them, found {displaced} of {stretches} \
+                 stretches of them elsewhere; {WHY_ELSEWHERE}"
             );
             return Err(refused(clock, counts, reason));
         }

@@ -32,9 +32,9 @@ pub struct Front {
     pub wrapped: Plane<f32>,
     /// Around the marker: not 0.
     pub zone: Plane<u8>,
-    /// The marker's cores.
+    /// Runs of the pixels on the marker's cores, which name a fringe.
     pub cores: Runs,
-    /// The marker's modulation relative to the light, where it was asked for.
+    /// The marker's modulation relative to the light, where maps are kept.
     pub energy: Option<Plane<f32>>,
     /// Pixels with a wrapped phase.
     pub known: usize,
@@ -56,28 +56,30 @@ pub struct Buffers {
     misfit: Vec<Vec<f32>>,
     /// C and S of a row before the bias of shading is taken off.
     shaded: [Vec<f32>; 2],
-    /// A row of zeros.
+    /// A row of zeros: what stands for rows beyond the frame.
     zeros: Vec<f32>,
     /// Light of a row's pixels, and of their windows, with room to either side.
     light: Light,
     mean: Vec<f32>,
-    /// Phases found so far.
+    /// Pixels with a phase so far.
     known: usize,
 }
 
 /// Rows of `bridged`: five that are averaged.
 const BRIDGED: usize = demodulate::ROWS;
 
-/// What is wanted besides.
+/// Which results are wanted beside those that every frame gives.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Keep {
-    /// The marker's energy.
+    /// Whether to keep the plane of the marker's energy.
     pub energy: bool,
-    /// Light and misfit of 0 beside the runs, where they are any otherwise; periods and phases that are none far beside them, too.
+    /// Light and misfit of 0 beside the runs, where they are any otherwise; periods and phases that are none far
+    /// beside them, too.
     pub define_outside_runs: bool,
 }
 
-/// Runs the front end on the part of a frame that holds the object, whose runs these are: without and with what is over-exposed.
+/// Runs the front end on the part of a frame that holds the object, whose runs these are: without and with what is
+/// over-exposed.
 pub(super) fn run(
     image: Mono8<'_>,
     (runs, lit): (Runs, &Runs),
@@ -299,7 +301,7 @@ impl Input<'_> {
         }
         let [_, _, length, misfit] = rows(v);
         let own = [&c[v % BRIDGED][room], &s[v % BRIDGED][room], length, misfit];
-        // Nobody looks at windows outside of the runs, but at phases.
+        // Later stages read phases beside the runs, but no windows.
         fill_around(self.runs.row(v), wrapped.row_mut(v), surroundings.columns(v), f32::NAN);
         let (strength, misfit) = (self.rest(&mut windows.strength, v), self.rest(&mut windows.misfit, v));
         let phases = self.rest(wrapped, v);
@@ -342,7 +344,7 @@ fn put_units([unit_c, unit_s, length]: [&mut [f32]; 3], first: usize, [c, s]: [&
     subpixel::put(length, first, &units[2]);
 }
 
-/// Blocks of four rows.
+/// The block of each of four rows that begins at this column.
 #[inline(always)]
 fn block<'a>(rows: &[&'a [f32]; 4], first: usize) -> demodulate::Row<'a> {
     // Not by `map`: that would be a call, compiled for the narrowest processor.
@@ -355,7 +357,7 @@ fn block<'a>(rows: &[&'a [f32]; 4], first: usize) -> demodulate::Row<'a> {
     ]
 }
 
-/// Blocks of the rows above and below.
+/// The blocks of a row above and of one below.
 #[inline(always)]
 fn pair<'a>([above, below]: &[[&'a [f32]; 4]; 2], first: usize) -> [demodulate::Row<'a>; 2] {
     [block(above, first), block(below, first)]
@@ -367,8 +369,8 @@ fn empty(ring: &mut Vec<Vec<f32>>, length: usize, width: usize) {
     ring.iter_mut().for_each(|row| subpixel::with_room(row, width));
 }
 
-/// Clears what rows of rings of so many rows, which are to become row `v`, hold of the one that they were, but where they are
-/// written anyway: beside the runs there is nothing.
+/// Prepares rows of rings of `length` rows for row `v`: clears what they hold of row `v - length`, except where the
+/// runs of row `v` will be written.
 #[inline(always)]
 fn clear<const N: usize>(mut rows: [&mut [f32]; N], runs: &Runs, v: usize, length: usize) {
     let Some(before) = v.checked_sub(length) else { return };

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Things sorted into cubic cells by their place: all that is within a cell's side of a place lies in the 27 cells around.
+//! Things sorted into cubic cells by their place: all that is within a cell's side of a place lies in the 27 cells
+//! around.
 
 /// Cells per axis on either side of the origin: 21 bits of a key each.
 const MOST: i64 = 1 << 20;
 
-/// Things of any kind by the cubic cell that they lie in. Whoever makes it chooses the side of a cell; it is not changed
-/// afterwards.
+/// Things of any kind by the cubic cell that they lie in. Whoever makes it chooses the side of a cell; it is not
+/// changed afterwards.
 #[derive(Debug)]
 pub struct Cells<T> {
     /// The key of a cell and a thing in it, sorted by key.
@@ -41,8 +42,8 @@ impl<T> Cells<T> {
     }
 }
 
-/// The cell of this side that a place lies in, both in the same unit. What is no number lies in the cell at the origin, what
-/// is infinite beyond all that [`Cells`] holds.
+/// The cell of this side that a place lies in, both in the same unit. What is no number lies in the cell at the
+/// origin, what is infinite beyond all that [`Cells`] holds.
 pub fn cell_of(place: [f64; 3], side: f64) -> [i64; 3] {
     place.map(|x| (x / side).floor() as i64)
 }

@@ -1,28 +1,30 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The labels of a view's patches that cost least together: tree-reweighted message passing, one sweep after the other (TRW-S;
-//! Kolmogorov, IEEE PAMI 28:1568, 2006).
+//! The labels of a view's patches that cost least together: tree-reweighted message passing, one sweep after the other
+//! (TRW-S; Kolmogorov, IEEE PAMI 28:1568, 2006).
 
 use super::Scene;
 use super::links::Link;
 use crate::kernels::simd;
 use std::f32::consts::TAU;
 
-/// Labels of a patch: fringes from the first in the volume on its line of sight.
+/// Labels of a patch at most: fringes from the first in the volume on its line of sight.
 pub const LABELS: usize = 64;
 
-/// Costs are whole numbers of these steps, and least ones are 0: what is moved decides the time, and sums do not depend on their order.
+/// Costs are whole multiples of this step, in 16 bits, and the least cost of a patch is 0: sums do not depend on their
+/// order, and little memory is moved.
 pub const STEP: f32 = 1.0 / 128.0;
 
-/// The cost of a label that is none, in steps.
+/// The cost of a label that a patch cannot have, in steps: 100.
 pub const NEVER: i16 = 12_800;
 
-/// Sweeps there and back.
+/// Sweeps of message passing, each over all patches forwards and backwards.
 const SWEEPS: usize = 2;
 
 /// A cost for each label, in steps.
 pub type Costs = [i16; LABELS];
 
-/// Patches with the costs of their labels, how they hang together, and what is found of them.
+/// The patches of a view with the costs of their labels and the links between them; after [`Graph::infer`] with their
+/// labels and margins.
 #[derive(Debug)]
 pub struct Graph {
     /// Costs of each label by itself.
@@ -45,17 +47,17 @@ pub struct Graph {
 /// The patches of a view among those of all.
 #[derive(Debug)]
 pub struct Field<'a> {
-    /// The view.
+    /// The view whose patches they are.
     pub scene: &'a Scene<'a>,
-    /// Its place among all.
+    /// The number of the view.
     pub number: usize,
     /// Where its patches begin among those of all views.
     pub first: usize,
     /// Whole turns that make a patch's phases absolute are its label less this.
     pub base: Vec<i32>,
-    /// Labels of each patch.
+    /// How many labels each patch may have.
     pub count: Vec<u32>,
-    /// What its labels cost.
+    /// Costs, links, labels and margins of the patches.
     pub graph: Graph,
 }
 
@@ -83,7 +85,7 @@ impl<'a> Field<'a> {
         self.graph.label[i] - self.base[i]
     }
 
-    /// What the marker says: patch, label, and what that counts.
+    /// The labels that marker pixels give their patches: patch, label, and how much that lowers the label's cost.
     pub fn votes(&self) -> impl Iterator<Item = (u32, i32, f32)> {
         let votes = self.scene.votes.iter();
         votes.map(|&(patch, turns, px)| {
@@ -93,7 +95,7 @@ impl<'a> Field<'a> {
 }
 
 impl Graph {
-    /// So many patches, of which nothing is known.
+    /// A graph of `n` patches, whose costs are all 0.
     pub fn new(n: usize, links: Vec<Link>) -> Self {
         let mut start = vec![0u32; n + 1];
         links.iter().flat_map(|x| [x.a, x.b]).for_each(|i| start[i as usize + 1] += 1);
@@ -115,7 +117,7 @@ impl Graph {
         &self.of[self.start[i] as usize..self.start[i + 1] as usize]
     }
 
-    /// Finds labels and margins.
+    /// Finds the labels that cost least together, and their margins.
     pub fn infer(&mut self) {
         simd::dispatch(
             #[inline(always)]
@@ -206,7 +208,7 @@ impl Graph {
     }
 }
 
-/// A cost in steps.
+/// A cost as a number of steps.
 #[inline(always)]
 fn in_steps(cost: f32) -> i16 {
     (cost * (1.0 / STEP)) as i16

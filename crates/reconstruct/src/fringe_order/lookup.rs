@@ -1,29 +1,31 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a view has in each cell of 8 x 8 px, laid out for the other cameras, which look it up at any place.
 //!
-//! Other cameras look up cells all over the image, and each look waits for memory. A cell that one node fills is a plane of 16 bytes, of which all stay
-//! in the cache, and so is one beside the object: a bit for each of its pixels. Only the others, on outlines and at steps, keep
-//! their pixels, side by side.
+//! Other cameras look up cells all over the image, and each look waits for memory. A cell that one node fills is a
+//! plane of 16 bytes, of which all stay in the cache, and so is one beside the object: a bit for each of its pixels.
+//! Only the others, on outlines and at steps, keep their pixels, side by side.
 
 use super::patches::CELL_PX;
 use crate::kernels::bit_rows::{self, WORD};
 use crate::kernels::pixel_runs::Runs;
 
-/// Cells around the region of interest in the grid that is looked at: beyond them there is nothing but background.
+/// Cells around the region of interest in the grid of a view, on each side: beyond them there is nothing but
+/// background.
 pub const PAD_CELLS: usize = 3;
 
-/// The same, px.
+/// Width of the margin of [`PAD_CELLS`] around the region of interest, px.
 pub const PAD_PX: usize = PAD_CELLS * CELL_PX;
 
-/// Background must be as wide around a place, px: outlines are not sharp.
+/// A camera looks past the body at a place only if there is background this far to the left, right, above and below,
+/// px: outlines are blurred.
 pub const BACKGROUND_PX: f32 = 10.0;
 
-/// Cells of the padded grid along so many pixels.
+/// Cells of the padded grid along a side of `px` pixels.
 pub fn padded(px: usize) -> usize {
     px.div_ceil(CELL_PX) + 2 * PAD_CELLS
 }
 
-/// Machine words of a row of so many cells.
+/// Machine words that hold a bit for each pixel of a row of `cells` cells.
 fn words(cells: usize) -> usize {
     (cells * CELL_PX).div_ceil(WORD)
 }
@@ -48,7 +50,7 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// The phase so far from the cell's first pixel, rad.
+    /// The phase at this distance, in columns and rows, from the cell's first pixel, rad.
     #[inline(always)]
     pub fn at(&self, right: f32, down: f32) -> f32 {
         self.phase + (right * self.steps[0] + down * self.steps[1])
@@ -60,25 +62,26 @@ impl Plane {
 enum Kind {
     /// Beside the object, and so is all within [`BACKGROUND_PX`].
     Far,
-    /// Beside the object.
+    /// Beside the object, with object within [`BACKGROUND_PX`].
     Near,
     /// Pixels of several kinds: the place in [`CellLookup::rims`].
     Rim(usize),
-    /// Nothing but this node.
+    /// Filled by one patch, the node of this number.
     Node(u32),
 }
 
 impl CellContent {
     /// Beside the object, and so is all within [`BACKGROUND_PX`].
     pub const FAR: u32 = u32::MAX;
-    /// Beside the object.
+    /// Beside the object, with object within [`BACKGROUND_PX`].
     pub const NEAR: u32 = u32::MAX - 1;
     /// From here on: places in [`CellLookup::rims`].
     pub const RIM: u32 = 1 << 31;
     /// What is not seen: a plane without a phase.
     pub const UNSEEN: Self = Self::none(0);
 
-    /// A cell that a node fills, as a plane: its phase at the first pixel, its step from column to column, and from row to row, rad.
+    /// A cell that a node fills, as a plane: its phase at the first pixel, its step from column to column, and from
+    /// row to row, rad.
     #[inline(always)]
     pub fn of_plane(node: u32, plane: Plane) -> Self {
         Self { surface: [node, plane.phase.to_bits()], bits: plane.steps.map(f32::to_bits) }
@@ -105,14 +108,14 @@ impl CellContent {
         self.surface[0]
     }
 
-    /// Of a cell beside the object: a bit for each pixel, row by row, that has the object [`BACKGROUND_PX`] to the left, to the right,
-    /// above or below. Of any other nothing of use.
+    /// Of a cell beside the object: a bit for each pixel, row by row, that has the object [`BACKGROUND_PX`] to the
+    /// left, to the right, above or below. Of any other nothing of use.
     fn near(&self) -> u64 {
         let [above, below] = self.bits.map(u64::from);
         above | below << u32::BITS
     }
 
-    /// What it shows.
+    /// The content as an enumeration.
     #[inline(always)]
     fn kind(&self) -> Kind {
         match self.node() {
@@ -142,13 +145,14 @@ impl<const N: usize> CellLanes<N> {
         (self.surface[lane], self.bits[lane]) = (cell.surface, cell.bits);
     }
 
-    /// The node that fills each cell, or [`CellContent::FAR`], [`CellContent::NEAR`], or a rim from [`CellContent::RIM`] on.
+    /// The node that fills each cell, or [`CellContent::FAR`], [`CellContent::NEAR`], or a rim from
+    /// [`CellContent::RIM`] on.
     #[inline(always)]
     pub fn node(&self, lane: usize) -> u32 {
         self.surface[lane][0]
     }
 
-    /// The phase of a plane, so far from its first pixel, rad.
+    /// The phase of a plane at this distance, in columns and rows, from its first pixel, rad.
     #[inline(always)]
     pub fn phase(&self, lane: usize, right: f32, down: f32) -> f32 {
         let phase = f32::from_bits(self.surface[lane][1]);
@@ -156,7 +160,8 @@ impl<const N: usize> CellLanes<N> {
         phase + (right * f32::from_bits(by_column) + down * f32::from_bits(by_row))
     }
 
-    /// Of a cell beside the object: whether a pixel has the object [`BACKGROUND_PX`] to the left, to the right, above or below.
+    /// Of a cell beside the object: whether a pixel has the object [`BACKGROUND_PX`] to the left, to the right, above
+    /// or below.
     #[inline(always)]
     pub fn is_near(&self, lane: usize, u: u32, v: u32) -> bool {
         // By halves: words of 64 bits would be half as many at once.
@@ -167,8 +172,8 @@ impl<const N: usize> CellLanes<N> {
     }
 }
 
-/// A row of a cell whose pixels have to be asked: all that is asked of a place lies side by side, for to wait for memory is
-/// what takes the time.
+/// A row of a cell whose pixels differ in kind. All that a look at a place needs lies in one cache line, because
+/// waiting for memory takes most of the time.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub struct RimRow {
@@ -210,7 +215,7 @@ impl RimRow {
     }
 }
 
-/// The rows of a cell whose pixels have to be asked.
+/// The rows of a cell whose pixels differ in kind.
 pub type RimRows = [RimRow; CELL_PX];
 
 /// All cells of a view, with [`PAD_CELLS`] around.
@@ -218,7 +223,7 @@ pub type RimRows = [RimRow; CELL_PX];
 pub struct CellLookup {
     stride: usize,
     rows: usize,
-    /// Row by row.
+    /// The padded grid, row by row.
     cells: Vec<CellContent>,
     /// Cells that no node fills, though they show the object.
     rims: Vec<RimRows>,
@@ -257,8 +262,8 @@ impl CellLookup {
         &self.cells
     }
 
-    /// Whether a pixel is the object's or has it beside it. `place` is a cell; the pixel is counted from its first, and may be in the
-    /// next column of cells.
+    /// Whether a pixel is the object's or has it beside it. `place` is a cell; the pixel is counted from its first,
+    /// and may be in the next column of cells.
     pub fn is_near(&self, place: u32, u: usize, v: usize) -> bool {
         let cell = self.at(place + (u / CELL_PX) as u32);
         match cell.kind() {
@@ -282,7 +287,7 @@ impl CellLookup {
         self.cells[place] = cell;
     }
 
-    /// Sets a cell whose pixels have to be asked.
+    /// Sets a cell whose pixels differ in kind.
     pub fn set_rim(&mut self, column: usize, row: usize, rim: RimRows) {
         self.set(column, row, CellContent::none(CellContent::RIM + self.rims.len() as u32));
         self.rims.push(rim);
@@ -312,8 +317,8 @@ impl CellLookup {
         }
     }
 
-    /// A bit for each pixel of the grid, 64 a word, row by row: whether the object is there, or [`BACKGROUND_PX`] to the left, to the
-    /// right, above or below.
+    /// A bit for each pixel of the grid, 64 a word, row by row: whether the object is there, or [`BACKGROUND_PX`] to
+    /// the left, to the right, above or below.
     #[inline(always)]
     fn near(&self, runs: &Runs) -> Vec<u64> {
         const REACH: usize = BACKGROUND_PX as usize;

@@ -14,8 +14,9 @@
 //! unwrapped_frame what goes in, and what comes out
 //! ```
 //!
-//! A patch's label is the fringe that it lies on. What the other cameras and the marker say of a place is a cost of the label; that a
-//! patch does not continue its neighbour costs as much as it seems to. A patch whose label leads any other by too little is refused.
+//! A patch's label is the fringe that it lies on. What the other cameras observe at the place, and the marker, give
+//! each label a cost; a patch that does not continue its neighbour costs the weight of their link. A patch is refused
+//! if its label leads any other by too little.
 
 mod drift;
 mod evidence;
@@ -47,22 +48,23 @@ use std::f32::consts::TAU;
 use std::time::Instant;
 use unwrapped_frame::UnwrappedFrame;
 
-/// A patch whose label leads any other by less is refused, as a rule. Twice as much: docs/validation.md, *Other poses and skins*.
+/// The default of `--margin`: a patch whose label leads any other by less is refused. Costs have no unit. For twice as
+/// much see docs/validation.md, *Other poses and skins*.
 pub const MARGIN: f32 = 1.0;
 
-/// A patch whose label leads by so much tells the other cameras what hides what.
+/// From this margin after the first pass on, a patch hides what lies behind it from the other cameras.
 const CERTAIN: f32 = 1.0;
 
-/// One camera's frame and its geometry.
+/// One camera's frame and its geometry: what [`solve`] takes of each camera.
 #[derive(Debug)]
 pub struct View<'a> {
-    /// Its name, for messages.
+    /// The camera's name, for messages to the user.
     pub id: &'a str,
-    /// Its geometry.
+    /// The geometry of the camera and its projector.
     pub triangulator: &'a Triangulator,
     /// Which head it belongs to: cameras of equal number see the same projector.
     pub head: usize,
-    /// Its frame.
+    /// Its frame, whose orders are found or refused.
     pub prepared: &'a mut UnwrappedFrame,
 }
 
@@ -71,7 +73,7 @@ pub struct View<'a> {
 pub struct Regions {
     /// Column and row of the image at which the cells begin.
     origin: (usize, usize),
-    /// Cells in a row.
+    /// Cells in a row of the region of interest.
     columns: usize,
     /// Patches that have an order: cell, pixels within it, by how much the order leads any other. Cell by cell.
     patches: Vec<(u32, u64, f32)>,
@@ -90,12 +92,12 @@ impl Regions {
     }
 }
 
-/// What a frame's patches come to. They are cut while their phases are in the cache, and their orders are written when these are read
-/// again.
+/// A frame's patches and their fringe orders. Patches are cut while their phases are in the cache; their orders are
+/// added when the phases are read again.
 #[derive(Debug, Default)]
 pub struct Orders {
     patches: Patches,
-    /// What to add to the phases of each patch, rad; NaN where there is no order, and of all as long as nobody is asked.
+    /// What to add to the phases of each patch, rad; NaN where there is no order, and for all patches before [`solve`].
     shift: Vec<f32>,
 }
 
@@ -124,7 +126,7 @@ impl Orders {
 /// A view as all others see it.
 #[derive(Debug)]
 struct Scene<'a> {
-    /// Its head's number.
+    /// The number of its camera's head.
     head: usize,
     /// Sign of its projector's phase's change with the distance from it.
     towards: f32,
@@ -133,7 +135,7 @@ struct Scene<'a> {
     patches: Patches,
     /// Where the other cameras see its places.
     projection: Projection<'a>,
-    /// What its marker says: patch, whole turns that make its phases absolute, pixels.
+    /// The orders by its marker: patch, whole turns that make its phases absolute, number of marker pixels.
     votes: Vec<(u32, i32, u32)>,
     /// Mean light of its patches, DN.
     light_dn: f32,
@@ -147,10 +149,10 @@ impl Scene<'_> {
     }
 }
 
-/// Gives every patch of every view its fringe order, or refuses it: [`Pipeline::finish`] adds these to the phases, of which only what is
-/// certain is left: orders that lead any other by at least `margin`. All views must show the same instant; cameras that differ by more
-/// than `most` contradict the calibration. The result does not depend on
-/// threads.
+/// Gives every patch of every view its fringe order, or refuses it: [`Pipeline::finish`] adds these to the phases, of
+/// which only what is certain is left: orders that lead any other by at least `margin`. All views must show the same
+/// instant; cameras that differ by more than `most` contradict the calibration. The result does not depend on the
+/// number of threads.
 ///
 /// # Errors
 ///
@@ -161,20 +163,20 @@ pub fn solve(views: &mut [View<'_>], margin: f32, most: MostDifference) -> Resul
     let start = Instant::now();
     let all: Vec<Patches> =
         views.iter_mut().map(|view| std::mem::take(&mut view.prepared.orders.patches)).collect();
-    let (results, said) = {
+    let (results, verdict) = {
         let scenes = all.into_par_iter().enumerate();
         let scenes: Vec<Scene<'_>> = scenes.map(|(view, patches)| scene(views, view, patches)).collect();
         let (found, turned) = label_all(&scenes, most);
-        let said = turned.map_or(Ok(()), |turned| Err(turned.message(views, most)));
+        let verdict = turned.map_or(Ok(()), |turned| Err(turned.message(views, most)));
         let results: Vec<Found> =
             scenes.into_iter().zip(found).map(|(scene, x)| (scene.patches, x.0, x.1)).collect();
-        (results, said)
+        (results, verdict)
     };
-    let margin = if said.is_ok() { margin } else { f32::INFINITY };
+    let margin = if verdict.is_ok() { margin } else { f32::INFINITY };
     views.par_iter_mut().zip(results).for_each(|(view, found)| keep(view.prepared, found, margin));
     let share = start.elapsed() / views.len().max(1) as u32;
     views.iter_mut().for_each(|view| view.prepared.add_time("order", share));
-    said
+    verdict
 }
 
 /// The whole turns that make the phases of each patch of a view absolute, and by how much these lead any other.
@@ -183,7 +185,7 @@ type Turns = (Vec<i32>, Vec<f32>);
 /// The same with the patches.
 type Found = (Patches, Vec<i32>, Vec<f32>);
 
-/// The turns of each view, and the camera that contradicts the others, if there is one.
+/// The turns of each view, and the camera that differs most, if the cameras contradict each other.
 fn label_all(scenes: &[Scene<'_>], most: MostDifference) -> (Vec<Turns>, Option<Turned>) {
     let mut fields: Vec<Field<'_>> =
         (0..scenes.len()).into_par_iter().map(|i| Field::new(scenes, i)).collect();
@@ -199,14 +201,15 @@ fn label_all(scenes: &[Scene<'_>], most: MostDifference) -> (Vec<Turns>, Option<
     (fields.into_iter().map(of).collect(), turned)
 }
 
-/// At first nobody knows what hides what, and by how much the cameras differ; then they are asked again.
+/// The two passes. The first gives an estimate of what hides what, and of the differences between cameras; the second
+/// uses both.
 fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>], most: MostDifference) -> Option<Turned> {
     let patches: usize = scenes.iter().map(|scene| scene.patches.all.len()).sum();
     let none = vec![vec![Differences::default(); scenes.len().div_ceil(LANES)]; scenes.len()];
     let mut known = OrderTable { turns: vec![NO_ORDER; patches + BEYOND], differences: none };
     for first in [true, false] {
         fields.par_iter_mut().for_each(|field| {
-            evidence::ask(field, scenes, &known, first);
+            evidence::collect(field, scenes, &known, first);
             field.graph.infer();
         });
         if first {

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The fringe orders of a camera alone, which no other camera can confirm: the best path of links from each patch to a marker.
+//! The fringe orders of a camera alone, which no other camera can confirm: the best path of links from each patch to a
+//! marker.
 //!
-//! Margins of all costs together dilute with the distance from the marker; the weakest link of the best path does not. On a seam where two
-//! surfaces touch, single links look strong by chance: a link counts as far as a way around it, through the patches beside it,
-//! says the same.
+//! Margins of all costs together dilute with the distance from the marker; the weakest link of the best path does not.
+//! On a seam where two surfaces touch, single links look strong by chance: a link counts as far as a way around it,
+//! through the patches beside it, confirms it.
 
 use super::inference::Field;
 use super::links::Link;
@@ -45,7 +46,7 @@ pub fn infer(field: &mut Field<'_>) {
     }
 }
 
-/// The strength of a link as far as a way around it says the same.
+/// The strength of a link as far as a way around it confirms it.
 fn supported(field: &Field<'_>, link: &Link) -> f32 {
     let from = |patch: u32| {
         field.graph.links_of(patch as usize).iter().map(move |&k| {

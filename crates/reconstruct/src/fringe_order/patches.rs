@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A view's surface in patches: the nodes of the graph in which fringe orders are sought.
 //!
-//! The image is cut into cells of 8 x 8 px. The phases of a cell are unwrapped along its carrier, and pixels that continue each
-//! other are one patch. Most cells are filled by one smooth patch, a plane of phases.
+//! The image is cut into cells of 8 x 8 px. The phases of a cell are unwrapped along its carrier, and pixels that
+//! continue each other are one patch. Most cells are filled by one smooth patch, a plane of phases.
 
 use super::links::Link;
 use super::lookup::{self, CellContent, CellLookup, RimRow};
@@ -17,8 +17,8 @@ use std::f32::consts::TAU;
 /// Side of a cell, px.
 pub const CELL_PX: usize = 8;
 
-/// Within a cell, steps this far from the carrier's, or from row to row, still continue, rad. Half of it cuts steep surfaces up, twice
-/// as much joins surfaces that touch.
+/// Within a cell, pixels whose step differs from the carrier's by less are one patch, rad; the same from row to row.
+/// Half as much cuts steep surfaces up, twice as much joins surfaces that touch.
 const INNER_RAD: f32 = 0.8;
 
 /// All pixels of a cell, a bit each, row by row.
@@ -40,7 +40,7 @@ pub struct Patch {
     pub pixel: u32,
     /// Phase of that pixel, rad, unwrapped within its cell.
     pub phase: f32,
-    /// Its pixels.
+    /// How many pixels it has.
     pub size: u32,
     /// Its cell, row by row.
     pub cell: u32,
@@ -55,7 +55,7 @@ pub struct Patch {
 pub struct Surface<'a> {
     /// Wrapped phase, rad; NaN where it is unknown. It becomes the phase unwrapped within each cell.
     pub phase: &'a mut Plane<f32>,
-    /// Local fringe period, px.
+    /// Local fringe period Pm, px.
     pub period: &'a Plane<f32>,
     /// The object, whether or not it has a phase there.
     pub object: &'a Runs,
@@ -68,13 +68,13 @@ pub struct Surface<'a> {
 pub struct Patches {
     /// Columns of the region of interest, px.
     pub width: usize,
-    /// Cells in a row.
+    /// Cells in a row of the region of interest.
     pub columns: usize,
     /// The patches, cell by cell.
     pub all: Vec<Patch>,
     /// Where surfaces continue from one to another.
     pub links: Vec<Link>,
-    /// What each cell has.
+    /// The patches of each cell, row by row.
     pub(super) grid: Vec<Spot>,
     /// The cells at a glance.
     pub lookup: CellLookup,
@@ -281,8 +281,8 @@ fn unwrap(phase: &mut Block, period: &Block, sign: f32) {
     }
 }
 
-/// Steps to the right beyond the carrier's, and steps down, of a cell's pixels, 0 where these are from another cell; and the largest of
-/// all, NaN where one is not known.
+/// Steps to the right beyond the carrier's, and steps down, of a cell's pixels, 0 where these are from another cell;
+/// and the largest of all, NaN where one is not known.
 #[inline(always)]
 fn steps(phase: &Block, period: &Block, sign: f32) -> (Block, Block, f32) {
     let (mut right, mut down) = ([[0.0; CELL_PX]; CELL_PX], [[0.0; CELL_PX]; CELL_PX]);
@@ -313,13 +313,13 @@ fn steps(phase: &Block, period: &Block, sign: f32) -> (Block, Block, f32) {
 /// Which pixels of a row of cells are the object's, a bit for each.
 #[derive(Debug)]
 struct Object {
-    /// Row by row.
+    /// A bit for each pixel, row by row.
     bits: Vec<u64>,
     words: usize,
 }
 
 impl Object {
-    /// For rows of so many pixels.
+    /// For a region of interest of `width` pixels.
     fn new(width: usize) -> Self {
         let words = width.div_ceil(WORD);
         Self { bits: vec![0; CELL_PX * words], words }
@@ -363,7 +363,8 @@ fn bits_of_cell(is: impl Fn(usize, usize) -> bool) -> u64 {
     )
 }
 
-/// All pixels that hang together with some: `right` and `down` tell which continue the one to their left and above.
+/// All pixels that are connected with `seed`: `right` and `down` have a bit for each pixel that continues the one to
+/// its left and above it.
 #[inline(always)]
 fn flood(seed: u64, right: u64, down: u64) -> u64 {
     let mut mask = seed;
@@ -380,7 +381,7 @@ fn flood(seed: u64, right: u64, down: u64) -> u64 {
 /// The pixel of a patch that is nearest to the cell's middle, the first of several.
 #[inline(always)]
 fn middle(mask: u64) -> usize {
-    /// Pixels within so many half steps of the middle, counted along rows and columns.
+    /// The pixels of a cell by their distance from its middle, along rows and columns together.
     const RINGS: [u64; 8] = {
         let mut rings = [0; 8];
         let mut at = 0;
@@ -396,7 +397,7 @@ fn middle(mask: u64) -> usize {
     (ring.trailing_zeros() as usize).min(CELL_PX * CELL_PX - 1)
 }
 
-/// Calls `each` with the pixels of a cell that hang together, patch by patch.
+/// Calls `each` with the connected pixels of a cell, patch by patch.
 #[inline(always)]
 fn each_patch(phase: &Block, right_steps: &Block, down_steps: &Block, mut each: impl FnMut(u64)) {
     let mut rest = bits_of_cell(
@@ -506,7 +507,7 @@ mod tests {
         (patches, turns)
     }
 
-    /// How many patches hang together with the first.
+    /// How many patches are linked with the first, directly or not.
     fn joined(patches: &Patches) -> usize {
         let mut of: Vec<usize> = (0..patches.all.len()).collect();
         loop {
@@ -537,7 +538,8 @@ mod tests {
             prop_assert_eq!(patches.all.len(), W.div_ceil(CELL_PX) * H.div_ceil(CELL_PX));
         }
 
-        // A step of 0.98 rad between two planes that do not bend is as likely on one surface as between two; nearer ones are links.
+        // A step of 0.98 rad between two planes that do not bend is as likely on one surface as between two; nearer
+        // ones are links.
         #[test]
         fn no_link_leads_over_a_depth_step(step in 1.0f32..5.28, tilt in -0.1f32..0.1, at in 40usize..60) {
             let mut truth = surface(tilt, 0.0);

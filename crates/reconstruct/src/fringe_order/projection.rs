@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where all other cameras would see a place on a line of sight of one view, and which phase their projectors cast on it: eight
-//! cameras at once.
+//! Where all other cameras would see a place on a line of sight of one view, and which phase their projectors cast on
+//! it: eight cameras at once.
 //!
-//! A line of sight of the view runs from its centre `c` along `d`, at inverse depth `w` through `c + d / w`. In the axes of
-//! another device that is `a + b / w`, where `a` is the same for all lines of the view and `b` is `d` turned. Only the
-//! quotient of the coordinates matters, so `w a + b` does as well and there is nothing to divide by `w`. The inverse
-//! depth of a fringe order is a polynomial that [`RayTable`] has. Cameras and projectors lie side by side in lanes.
+//! A line of sight of the view runs from its centre `c` along `d`, at inverse depth `w` through `c + d / w`. In the
+//! axes of another device that is `a + b / w`, where `a` is the same for all lines of the view and `b` is `d` turned.
+//! Only the quotient of the coordinates matters, so `w a + b` does as well and there is nothing to divide by `w`. The
+//! inverse depth of a fringe order is a polynomial that [`RayTable`] has. Cameras and projectors lie side by side in
+//! lanes.
 
 use super::lookup::{BACKGROUND_PX, PAD_PX, padded};
 use super::patches::CELL_PX;
@@ -16,7 +17,7 @@ use crate::triangulate::camera_projector::CameraProjector;
 use crate::triangulate::ray_table::RayTable;
 use nalgebra::{Point3, Vector3};
 
-/// Cameras that are worked on at once.
+/// Cameras that are worked on at once, one in each lane of a vector.
 pub const LANES: usize = 8;
 
 type Lanes = [f32; LANES];
@@ -34,7 +35,7 @@ pub struct Projected {
     pub cast: Lanes,
 }
 
-/// No cell.
+/// The cell of a place that a camera does not see.
 pub const NOWHERE: u32 = u32::MAX;
 
 /// How to get from a view to a place in the volume.
@@ -47,7 +48,7 @@ pub struct Ray {
 }
 
 impl Projected {
-    /// None.
+    /// A place that no camera sees.
     pub const NONE: Self =
         Self { cell: [NOWHERE; LANES], right: [0.0; LANES], down: [0.0; LANES], cast: [f32::NAN; LANES] };
 }
@@ -92,8 +93,8 @@ impl Devices {
         w * self.centre[row][i] + (x[i] * d[0] + y[i] * d[1] + z[i] * d[2])
     }
 
-    /// Column and row of the place at inverse depth `w` of the line of sight along `d`; no number behind the device, where
-    /// its lens folds over, and in lanes without a device.
+    /// Column and row of the place at inverse depth `w` of the line of sight along `d`; no number behind the device,
+    /// where its lens folds over, and in lanes without a device.
     #[inline(always)]
     fn project(&self, d: [f32; 3], w: f32) -> [Lanes; 2] {
         let mut out = [[0.0; LANES]; 2];

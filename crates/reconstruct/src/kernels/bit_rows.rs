@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Rows of pixels as bits, 64 a word: what is asked of each pixel is asked of a word at once.
+//! Rows of pixels as bits, 64 a word, so that one operation serves 64 pixels.
 
 use std::ops::Range;
 
-/// Pixels of a word.
+/// Pixels in a machine word: one bit each.
 pub(crate) const WORD: usize = u64::BITS as usize;
 
 /// A bit for each place where it is so.

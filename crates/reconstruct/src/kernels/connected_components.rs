@@ -3,19 +3,18 @@
 
 use super::pixel_runs::Runs;
 
-/// A component of runs.
+/// A component: runs of neighbouring rows that touch, also at corners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Piece {
-    /// Its pixels.
+    /// Pixels of all its runs.
     pub area: u32,
-    /// First row.
+    /// First row that it is in.
     pub first: u32,
-    /// Last row.
+    /// Last row that it is in.
     pub last: u32,
 }
 
 impl Piece {
-    /// Rows that it spans.
     pub fn rows(&self) -> f32 {
         (self.last - self.first + 1) as f32
     }

@@ -19,17 +19,15 @@ impl Run {
         Self { start: start as u32, end: end as u32 }
     }
 
-    /// Its columns.
     pub fn columns(&self) -> Range<usize> {
         self.start as usize..self.end as usize
     }
 
-    /// First column.
     pub fn start(&self) -> usize {
         self.start as usize
     }
 
-    /// Column after the last.
+    /// The column behind the last one of the run.
     pub fn end(&self) -> usize {
         self.end as usize
     }
@@ -94,7 +92,6 @@ impl Runs {
         self.ends.push(self.runs.len());
     }
 
-    /// Rows.
     pub fn height(&self) -> usize {
         self.ends.len()
     }
@@ -116,12 +113,11 @@ impl Runs {
         places.map(|(v, place)| (v, place, self.runs[place]))
     }
 
-    /// All runs.
     pub fn all(&self) -> &[Run] {
         &self.runs
     }
 
-    /// Pixels of all runs.
+    /// Pixels of all runs together.
     pub fn area(&self) -> usize {
         self.runs.iter().map(|run| run.columns().len()).sum()
     }
@@ -175,7 +171,7 @@ pub(crate) struct Surroundings {
 }
 
 impl Surroundings {
-    /// Takes those of the runs of rows of so many pixels; every column where `whole` rows are looked at.
+    /// Finds the surroundings of the runs of rows of `width` pixels: all columns if later stages read whole rows.
     pub fn find(&mut self, runs: &Runs, width: usize, whole: bool) {
         self.width = width;
         self.spans.clear();
@@ -254,7 +250,8 @@ pub(crate) fn each_not_0(bytes: &[u8], mut at: impl FnMut(usize)) {
     );
 }
 
-/// Calls `each` with the place of the first of up to [`WORD`] bytes, how many they are, and a bit for each that is not 0.
+/// Calls `each` with the place of the first of up to [`WORD`] bytes, how many they are, and a bit for each that is not
+/// 0.
 #[inline(always)]
 fn each_word(bytes: &[u8], mut each: impl FnMut(usize, usize, u64)) {
     let (words, rest) = bytes.as_chunks::<WORD>();

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The largest or the smallest value of a window that slides along a row.
 
-/// `out[0][i]` becomes the extreme of the values `i .. i + length` of a row whose ends repeat `beyond` times on either side.
-/// The second row of `out` is memory to use.
+/// `out[0][i]` becomes the extreme of the values `i .. i + length` of a row whose ends repeat `beyond` times on either
+/// side. The second row of `out` is memory to use.
 ///
 /// Doubling: the window grows by its own length, in passes of plain slice operations that the compiler vectorises.
 #[inline(always)]

@@ -8,7 +8,7 @@
 use super::fast_round::{nearest, whole};
 use std::hint::black_box;
 
-/// Pixels of a block.
+/// Pixels of a block: what is worked on at once.
 pub(crate) const LANES: usize = 32;
 
 /// What a padded row has on each side, px: distances must be shorter by two.
@@ -57,7 +57,7 @@ pub(crate) fn part<T: Copy, const N: usize>(row: &[T], first: usize, beyond: T) 
 pub(crate) fn store<T: Copy>(row: &mut [T], first: usize, count: usize, lanes: &[T; LANES]) {
     match row[first..].first_chunk_mut() {
         Some(all) if count == LANES => *all = *lanes,
-        // A choice for each: a copy of so many would be a call.
+        // A choice for each: a copy of unknown length would be a call.
         Some(all) => {
             for i in 0..LANES {
                 all[i] = if i < count { lanes[i] } else { all[i] };
@@ -90,8 +90,8 @@ fn put_end<T: Copy, const N: usize>(row: &mut [T], lanes: &[T; N]) {
     row.copy_from_slice(&lanes[..row.len()]);
 }
 
-/// The same for values that are still to be made. They go where they belong at once: what is written to the stack in halves
-/// would have to be waited for.
+/// The same for values that are still to be made. They go where they belong at once: what is written to the stack in
+/// halves would have to be waited for.
 #[inline(always)]
 pub(crate) fn put_each<T>(row: &mut [T], first: usize, value: impl Fn(usize) -> T) {
     let row = &mut row[first..];
@@ -115,7 +115,7 @@ pub(crate) fn with_room(row: &mut Vec<f32>, width: usize) {
 /// The periods of a block; an unknown one (0) is the largest of the block, so that it does not spoil the others.
 pub(crate) struct Periods {
     lanes: Lanes,
-    /// Smallest and largest: they tell how far the distances go, whatever the share, without a look at each again.
+    /// The smallest and the largest of them: the range of the distances at any share follows from these two.
     least: f32,
     most: f32,
 }
@@ -155,8 +155,8 @@ fn pixel_before(distance: f32) -> f32 {
     nearest(distance - 0.5)
 }
 
-/// `a` where `mask` has no bits, `b` where it has all. Bits, because the compiler makes a gather of a choice between two
-/// places in memory.
+/// `a` where `mask` has no bits, `b` where it has all. Bits, because the compiler makes a gather of a choice between
+/// two places in memory.
 #[inline(always)]
 pub(crate) fn choose(a: f32, b: f32, mask: u32) -> f32 {
     f32::from_bits(a.to_bits() & !mask | b.to_bits() & mask)
@@ -214,7 +214,7 @@ pub(crate) struct Light {
 }
 
 impl Light {
-    /// Makes room for a row of so many pixels.
+    /// Makes room for a row of `width` pixels.
     pub(crate) fn reserve(&mut self, width: usize) {
         reserve(&mut self.padded, width);
         reserve(&mut self.steps, width);
@@ -228,7 +228,7 @@ impl Light {
         for i in 0..n {
             padded[i] = f32::from(pixels[i]);
         }
-        // Beside a run nobody looks, but the first and the last pixel have neighbours there.
+        // Values beside a run are not used, but the first and the last pixel have neighbours there.
         let (padded, steps) =
             (&self.padded[PAD + first - 1..][..n + 2], &mut self.steps[PAD + first - 1..][..n + 1]);
         for i in 0..n + 1 {
@@ -242,8 +242,8 @@ impl Light {
         chunk(&self.padded, PAD + first)
     }
 
-    /// [`between`] before and behind each pixel, at the distance of `share` of its period. A line through the first two of
-    /// three values, and what the second line is steeper: no pixel has to choose.
+    /// [`between`] before and behind each pixel, at the distance of `share` of its period. A line through the first
+    /// two of three values, and what the second line is steeper: no pixel has to choose.
     #[inline(always)]
     pub(crate) fn both_sides(&self, first: usize, periods: &Periods, share: f32) -> [Lanes; 2] {
         let least = whole(distance(periods.least, share, 0.0) - 0.5);
@@ -268,8 +268,8 @@ impl Light {
     }
 }
 
-/// A block of a padded row from behind `first` on, of which the compiler does not know that it has most of it already: it
-/// would put it together from that instead of loading it.
+/// A block of a padded row from behind `first` on, of which the compiler does not know that it has most of it already:
+/// it would put it together from that instead of loading it.
 #[inline(always)]
 fn next_of(padded: &[f32], first: usize) -> &Lanes {
     black_box(chunk(padded, first + 1))

@@ -8,14 +8,10 @@
 //! pixels (|W| < pi/2) are separated from those of the next fringe, so that a connected component follows ONE
 //! fringe by construction; it must be at least [`MIN_DASHES`] dashes long.
 
-/// Phase under the marker.
-pub mod bias;
-/// Whether the marker's dashes lie where the calibration has them.
+pub(crate) mod bias;
 pub mod epipolar_check;
-/// Which of several markers it is.
-pub mod number;
-/// Pieces of the marker's cores.
-pub mod pieces;
+pub(crate) mod number;
+pub(crate) mod pieces;
 
 use super::kernels::connected_components::{self, Piece};
 use super::kernels::pixel_runs::{Run, Runs};
@@ -36,6 +32,10 @@ const MAX_CORE_PERIODS: f32 = 0.9;
 /// A marker's lateral contrast must reach this share of the modulation that is projected: blur takes the rest.
 const MIN_CONTRAST: f32 = 0.25;
 
+/// How far beside a pixel the energy is taken that counts against it, in fringe periods: beyond the next fringe's
+/// flank.
+const LATERAL_PERIODS: f32 = 1.25;
+
 /// Energy beside the marker counts this much against it.
 const LATERAL_WEIGHT: f32 = 1.5;
 
@@ -53,7 +53,7 @@ pub struct Buffers {
 }
 
 /// Finds where the light has the marker's modulation along the column, in ridges that are long enough: their pixels.
-/// `energy`, where it is asked for, becomes that modulation relative to the local light, NaN where it is not known.
+/// `energy`, where it is given, becomes that modulation relative to the local light, NaN where it is not known.
 pub fn ridges(
     image: Mono8<'_>,
     runs: &Runs,
@@ -138,7 +138,8 @@ fn is_long(piece: &Piece, pair: &CameraProjector) -> bool {
     piece.rows() >= MIN_DASHES * pair.marker_period_px
 }
 
-/// The pixels of a run for which `is` holds. Stretches of which `may` tells at once that it holds nowhere are passed over.
+/// Adds the pixels of a run for which `is` holds. Stretches for which `may` is false, so that it holds nowhere, are
+/// skipped.
 #[inline(always)]
 fn push_where(run: &Run, may: impl Fn(Range<usize>) -> bool, is: impl Fn(usize) -> bool, out: &mut Runs) {
     let mut start = None;
@@ -176,7 +177,7 @@ fn carrier_free_row(image: &[u8], runs: &[Run], period: &[f32], sums: &mut Vec<f
             sum += u32::from(x);
             *out = sum as f32;
         }
-        // A block ahead: how far its distances go is known only when all its periods have been compared. (Behind the last one there is none.)
+        // A block ahead: the range of its distances is known only when all its periods have been compared.
         let mut next = Periods::new(&subpixel::load(period, columns.start));
         for first in columns.clone().step_by(LANES) {
             let count = LANES.min(columns.end - first);
@@ -296,7 +297,7 @@ fn ridges_of_row(energy: &[f32], runs: &[Run], period: &[f32], threshold: f32, f
 /// Energy at `u` less that 1.25 periods to either side; negative where neither side is known.
 #[inline(always)]
 fn lateral_contrast(energy: &[f32], u: usize, period: f32) -> f32 {
-    let step = (1.25 * period + 0.5) as usize;
+    let step = (LATERAL_PERIODS * period + 0.5) as usize;
     let left = u.checked_sub(step).map_or(f32::NAN, |x| energy[x]);
     let right = energy.get(u + step).copied().unwrap_or(f32::NAN);
     if left.is_nan() && right.is_nan() {
@@ -351,8 +352,8 @@ mod tests {
             rows[30][gap] = f32::NAN;
             let v = 31;
             let mut found = vec![f32::NAN; 60];
-            let ring: Vec<_> = (0..=2 * half).map(|i| (v - half..=v + half).find(|row| row % (2 * half + 1) == i)).collect();
-            let ring: Vec<Vec<f32>> = ring.into_iter().map(|row| rows[row.expect("a row")].clone()).collect();
+            let row_at = |i: usize| (v - half..=v + half).find(|row| row % (2 * half + 1) == i).expect("a row");
+            let ring: Vec<Vec<f32>> = (0..=2 * half).map(|i| rows[row_at(i)].clone()).collect();
             band.energy((&ring.concat(), 100), v, &Run::new(3, 58), &mut found);
             for u in 0..60 {
                 let sum = |weight: &dyn Fn(f64) -> f64| -> f64 {

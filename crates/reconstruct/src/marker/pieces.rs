@@ -9,13 +9,13 @@ use std::ops::Range;
 /// Pieces of one frame's marker cores.
 #[derive(Debug)]
 pub struct MarkerPieces {
-    /// All cores.
+    /// The runs of all cores.
     cores: Runs,
     /// The piece of each of their runs.
     of: Vec<u32>,
-    /// The pieces.
+    /// Area and rows of each piece.
     pub pieces: Vec<Piece>,
-    /// The marker that each piece is, 1 for the first of [`crate::triangulate::camera_projector::CameraProjector::markers`]; 0: it is none, or not known.
+    /// The marker that each piece is, 1 for the first of `CameraProjector::markers`; 0 where it is none, or not known.
     pub number: Vec<u8>,
 }
 
@@ -32,7 +32,8 @@ impl MarkerPieces {
         self.cores.each().map(|(v, place, run)| (v, run.columns(), self.of[place] as usize))
     }
 
-    /// Sets a plane to the number of the marker that each pixel is on, 0 where it is on none. Returns how many are on one.
+    /// Sets a plane to the number of the marker that each pixel is on, 0 where it is on none. Returns how many are on
+    /// one.
     pub fn paint(&self, anchor: &mut Plane<u8>) -> usize {
         anchor.as_mut_slice().fill(0);
         self.runs().for_each(|(v, columns, piece)| anchor.row_mut(v)[columns].fill(self.number[piece]));

@@ -4,8 +4,8 @@
 //! [`envelope`] thresholds the logarithm of the fringes' upper envelope and keeps every component, so that dark hair
 //! and detached hands survive. The paper's own is [`super::paper::mask`].
 
-pub(crate) mod envelope;
-pub(crate) mod opening;
+mod envelope;
+mod opening;
 
 use super::kernels::connected_components::{self, Piece};
 use super::kernels::pixel_runs::{self, Run, Runs};
@@ -16,6 +16,9 @@ use envelope::Above;
 
 /// Pixels at or above this value are over-exposed: their phase means nothing.
 pub const SATURATED: u8 = 250;
+
+/// Width of the closing over the dark half of a fringe, in nominal fringe periods.
+pub(super) const CLOSING_PERIODS: f32 = 1.2;
 
 /// Smallest component that [`envelope`] keeps, px.
 const MIN_COMPONENT_PX: u32 = 400;
@@ -42,10 +45,10 @@ pub struct Buffers {
     pub lit: Runs,
 }
 
-/// The default mask: the runs of the object, without over-exposed pixels. `period_px` is the nominal fringe period in the
-/// image.
+/// The default mask: the runs of the object, without over-exposed pixels. `period_px` is the nominal fringe period in
+/// the image.
 pub fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object: &mut Runs) {
-    let width = (1.2 * period_px).ceil() as usize | 1;
+    let width = (CLOSING_PERIODS * period_px).ceil() as usize | 1;
     simd::dispatch(
         #[inline(always)]
         || {
@@ -61,10 +64,11 @@ pub fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object:
     part(lit, image, row, object);
 }
 
-/// One row in so many tells the threshold.
+/// Of the image's rows every 16th is used to find the threshold.
 const SAMPLED_ROWS: usize = 16;
 
-/// Some rows of the envelope: a row closing of `width` pixels and a 3 x 3 median of it, whose outermost pixels are copied.
+/// Some rows of the envelope: a row closing of `width` pixels and a 3 x 3 median of it, whose outermost pixels are
+/// copied.
 #[inline(always)]
 fn sample_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
     let (w, h) = (image.width(), image.height());

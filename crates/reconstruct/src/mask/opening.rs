@@ -9,9 +9,9 @@ use std::ops::Range;
 /// Pixels that the square reaches to each side: it is five wide and high.
 const HALF: usize = 2;
 
-/// The runs of a plane of bits of these columns of `height` rows, each row of as many words as it needs, after erosion and
-/// dilation by a square; outside of the plane its outermost pixels repeat. What is left of the bits is any, and `wide` is
-/// memory to use.
+/// The runs of a plane of bits of these columns of `height` rows, each row of as many words as it needs, after erosion
+/// and dilation by a square; outside of the plane its outermost pixels repeat. What is left of the bits is any, and
+/// `wide` is memory to use.
 #[inline(always)]
 pub(crate) fn runs(
     bits: &mut [u64],

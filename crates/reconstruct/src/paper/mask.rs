@@ -5,11 +5,12 @@ use super::{box_sum, one_if};
 use crate::base::image::{Mono8, Plane};
 use crate::kernels::connected_components::{self, Piece};
 use crate::kernels::pixel_runs::Runs;
-use crate::mask::{SATURATED, histogram, otsu_level};
+use crate::mask::{CLOSING_PERIODS, SATURATED, histogram, otsu_level};
 
 /// Om: 1 on the object, 0 elsewhere. `period_px` is the nominal fringe period in the image.
 ///
-/// Over-exposed pixels have no part in the threshold, and leave the mask at the end, else the erosion would give them back.
+/// Over-exposed pixels have no part in the threshold, and leave the mask at the end, else the erosion would give them
+/// back.
 pub fn object(image: Mono8<'_>, period_px: f32) -> Plane<f32> {
     let mut counts = histogram(image.as_slice());
     counts[usize::from(SATURATED)..].fill(0);
@@ -17,7 +18,7 @@ pub fn object(image: Mono8<'_>, period_px: f32) -> Plane<f32> {
     let (w, h) = (image.width(), image.height());
     let bright = Plane::from_fn(w, h, |u, v| one_if(usize::from(image.row(v)[u]) > level));
     // A square of 1.2 periods closes the dark half of a fringe, which is object, too.
-    let reach = (1.2 * period_px).ceil() as usize / 2;
+    let reach = (CLOSING_PERIODS * period_px).ceil() as usize / 2;
     let inverse = |plane: &Plane<f32>| plane.map(|x| 1.0 - x);
     let dilated = dilate(&bright, reach);
     let eroded = inverse(&dilate(&inverse(&dilated), reach));

@@ -5,18 +5,12 @@
 //! planes that bear the paper's names, its stages are loops over pixels, and time is no concern. What the paper leaves
 //! open is settled where it comes up, and listed in `docs/design/reconstruction.md`.
 
-/// Marker map Mm and absolute phase Fm.
-pub mod marker;
-/// Object mask Om.
-pub mod mask;
-/// Fringe period Pm, amplitude Am, stability Sm.
-pub mod period;
-/// Wrapped phase Wm.
-pub mod phase;
-/// Verticality Vm, border map Bm, quality Qm.
-pub mod quality;
-/// Unwrapped phase Um.
-pub mod unwrap;
+pub(crate) mod marker;
+pub(crate) mod mask;
+pub(crate) mod period;
+pub(crate) mod phase;
+pub(crate) mod quality;
+pub(crate) mod unwrap;
 
 use super::counts::Counts;
 use super::fringe_order::Regions;
@@ -30,10 +24,10 @@ use super::triangulate::points::{self, KnownPixels};
 use super::triangulate::ray_table::RayTable;
 use crate::base::image::{Mono8, Plane};
 
-/// Counterpart of [`crate::batch::key::ALGORITHM`] for this method: raised whenever the same frames may give other points.
+/// The version of this method in `reconstruct.json`: raised whenever the same frames may give other points.
 pub const ALGORITHM: u32 = 31;
 
-/// What fringe orders by this method are not checked against.
+/// What a summary states under `unchecked` of results by this method.
 pub const UNCHECKED: &str =
     "the paper's method: each camera's fringe orders follow from its own marker alone";
 
@@ -44,7 +38,7 @@ pub struct AbsolutePhase {
     pub fm: Plane<f32>,
     /// Mean light over one fringe, DN: the intensity of the cloud's points.
     pub light: Plane<f32>,
-    /// How it went. What has a wrapped phase and no absolute one is refused.
+    /// Pixel counts. A pixel with a wrapped phase and no absolute one counts as refused.
     pub counts: Counts,
     /// Om to Mm by name; Em is what Mm is cut from. Their units stand where they are made.
     pub maps: Vec<(&'static str, Plane<f32>)>,

@@ -13,24 +13,29 @@ use crate::kernels::pixel_runs::{Run, Runs, Surroundings, fill_around};
 use crate::kernels::sliding::extremes;
 use crate::kernels::{fast_round, simd};
 
-/// Periods outside this range are not measured, px.
+/// Fringe periods that are measured, px: shorter and longer ones count as unknown.
 pub(crate) const PERIOD_RANGE_PX: std::ops::RangeInclusive<f32> = 5.0..=24.0;
 
 /// A crossing counts once the light has left the threshold by this share of the window's range.
 pub(crate) const HYSTERESIS: f32 = 0.12;
 
-/// Half sides of the box over which the period is smoothed, px.
+/// Columns to each side over which the period is smoothed.
 pub(crate) const SMOOTH_COLUMNS: usize = 6;
+
+/// Rows to each side over which the period is smoothed.
 pub(crate) const SMOOTH_ROWS: usize = 1;
+
+/// Crossings are counted over this many nominal periods to each side: the least that holds two whole periods.
+pub(crate) const WINDOW_PERIODS: f32 = 1.3;
 
 /// The threshold is the mean over this many nominal periods to each side. Shorter means find more crossings where the
 /// light falls off towards an outline, and more wrong ones.
 const LIGHT_PERIODS: f32 = 1.3;
 
-/// Steps of a pixel in which distances are summed.
+/// Steps per px in which distances of crossings are summed, as whole numbers.
 const STEPS: f32 = 4096.0;
 
-/// Bits of a sum that count how many distances it has; above are the distances.
+/// Low bits of a sum, which count its distances; the bits above hold the distances themselves.
 const COUNT_BITS: u32 = 8;
 
 /// Rows that [`measure`] uses again from frame to frame.
@@ -58,7 +63,8 @@ pub struct Buffers {
     fours: Vec<u32>,
 }
 
-/// Entries of a list of crossings that are none, before the first and behind the last, so that all have two neighbours to each side.
+/// Entries of a list of crossings that are none, before the first and behind the last, so that all have two neighbours
+/// to each side.
 const NONE_BEFORE: usize = 2;
 
 /// Where the light crosses the threshold.
@@ -72,8 +78,8 @@ struct Crossing {
     certain: u32,
 }
 
-/// Period of each pixel of the runs, px, the mean of those around it; 0 where it is unknown and in what is around the runs.
-/// Windows never leave these.
+/// Period of each pixel of the runs, px, the mean of those around it; 0 where it is unknown and in what is around the
+/// runs. Windows never leave these.
 pub(crate) fn measure(
     image: Mono8<'_>,
     (runs, around): (&Runs, &Surroundings),
@@ -81,7 +87,7 @@ pub(crate) fn measure(
     buffers: &mut Buffers,
     period: &mut Plane<f32>,
 ) {
-    let half = (1.3 * nominal_px).round() as usize;
+    let half = (WINDOW_PERIODS * nominal_px).round() as usize;
     let reach = (LIGHT_PERIODS * nominal_px).round() as usize;
     let (w, h) = (image.width(), image.height());
     period.reshape(w, h, 0.0);
@@ -143,7 +149,8 @@ fn measure_run(row: &[u8], half: usize, reach: usize, buffers: &mut Buffers, raw
     raw[from + windows..].fill(last);
 }
 
-/// For each place of a run, how many crossings lie before it, and where two neighbouring ones are, which are those next to it on one side.
+/// For each place of a run, how many crossings lie before it, and where two neighbouring ones are, which are those
+/// next to it on one side.
 #[derive(Debug, Default)]
 struct Beside {
     count: Vec<f32>,
@@ -154,8 +161,8 @@ struct Beside {
 const BLOCK: usize = 8;
 
 impl Beside {
-    /// `from` which place on a crossing lies before it. `skip`: the number in the list of the first of the two of a place that has none
-    /// before it.
+    /// `from` which place on a crossing lies before it. `skip`: the number in the list of the first of the two of a
+    /// place that has none before it.
     #[inline(always)]
     fn spread(
         &mut self,
@@ -193,8 +200,8 @@ fn block(row: &mut [f32], place: usize, value: f32) {
     }
 }
 
-/// Mean distance of each crossing of a window to the next but one, which has its direction, in the form of [`measure_run`]. All
-/// distances but those of the ends cancel.
+/// Mean distance of each crossing of a window to the next but one, which has its direction, in the form of
+/// [`measure_run`]. All distances but those of the ends cancel.
 #[inline(always)]
 fn mean_distances(after: &Beside, before: &Beside, length: usize, raw: &mut [u32]) {
     let n = raw.len();
@@ -237,14 +244,14 @@ fn add_up(row: &[u8], sums: &mut Vec<u32>) {
     }
 }
 
-/// Above the threshold.
+/// Bit of a pixel whose light is above the threshold.
 const ABOVE: u8 = 1;
 
-/// On either side of it by more than the margin.
+/// Bit of a pixel whose light differs from the threshold by more than the margin.
 const FAR: u8 = 2;
 
-/// On which side of its threshold a pixel of `light` is, of whose window `length` pixels have this sum and range. All is
-/// times that length.
+/// On which side of its threshold a pixel of `light` is, of whose window `length` pixels have this sum and range. All
+/// is times that length.
 #[inline(always)]
 fn side(light: u8, length: i32, sum: u32, range: u8) -> (u8, f32) {
     let value = (i32::from(light) * length - sum as i32) as f32;
@@ -421,7 +428,9 @@ pub(crate) mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn the_period_of_a_noisy_sine_is_found(period in 6.0f32..18.0, phase in -3.0f32..3.0, amplitude in 15.0f32..100.0) {
+        fn the_period_of_a_noisy_sine_is_found(
+            period in 6.0f32..18.0, phase in -3.0f32..3.0, amplitude in 15.0f32..100.0,
+        ) {
             let mut image = Plane::filled(200, 3, 0u8);
             for v in 0..3 {
                 for u in 0..200 {
@@ -460,7 +469,8 @@ pub(crate) mod tests {
                 let near = raw[u.saturating_sub(6)..(u + 7).min(120)].iter().filter(|x| **x > 0.0);
                 let (sum, count) = near.fold((0.0, 0), |(sum, count), x| (sum + x, count + 1));
                 let expected = if count > 0 { sum / f64::from(count) } else { 0.0 };
-                prop_assert!((f64::from(found.at(u, 0)) - expected).abs() < 1e-3, "{} {expected} at {u}", found.at(u, 0));
+                let found = f64::from(found.at(u, 0));
+                prop_assert!((found - expected).abs() < 1e-3, "{found} {expected} at {u}");
             }
             prop_assert!(found.at(gap, 0) == 0.0);
         }

@@ -3,7 +3,7 @@
 //!
 //! A demodulation window that crosses an edge of colour (a disc of the calibration board, a mole, a hair line)
 //! holds two fringes of different height: its phase is off by up to half a radian, while the surface below is
-//! smooth. The misfit of the fringe model tells such windows: over boards and bodies the RMS error grows in
+//! smooth. The misfit of the fringe model marks such windows: over boards and bodies the RMS error grows in
 //! proportion to it ([`own_error`]). For each pixel of doubtful misfit a plane is laid through the absolute
 //! phases of good pixels around it. Where these lie in a plane, so that its value at the pixel is more certain
 //! than the pixel's own phase, it is taken instead; on the strongly curved skin beside an outline, where the
@@ -17,7 +17,6 @@ use crate::kernels::row_support::Support;
 use crate::kernels::{simd, subpixel};
 use crate::phase::window_quality::{self, DOUBTFUL_MISFIT, GOOD_MISFIT, LEAST_AMPLITUDE_DN};
 use std::f32::consts::TAU;
-use std::ops::Range;
 
 /// A phase of which a larger error is expected is dropped, rad.
 const MAX_ERROR: f32 = 0.25;
@@ -25,12 +24,13 @@ const MAX_ERROR: f32 = 0.25;
 /// RMS error of a phase relative to the misfit of its window, rad, as measured.
 const ERROR_PER_MISFIT: f32 = 0.8;
 
-/// Noise of a sample, DN: its share of the misfit says nothing of edges.
+/// Noise of a sample, DN: the misfit that it causes is no sign of an edge.
 const NOISE_DN: f32 = 0.6;
 
-/// Columns and rows to each side that a plane is laid through, and the step between columns: neighbours in a
-/// row share most of their windows.
+/// Columns and rows to each side that a plane is laid through.
 const REACH: (usize, usize) = (12, 5);
+
+/// Of these every such column is taken: neighbours in a row share most of their windows.
 const COLUMN_STEP: usize = 3;
 
 /// Fewer good pixels than this make no plane.
@@ -65,18 +65,14 @@ pub fn refine(
     FrameMaps { runs, windows, period, zone: outside, sign }: FrameMaps<'_>,
     mut expected: Option<&mut Plane<f32>>,
 ) -> usize {
-    let (mut support, mut known, mut doubtful) = (Support::default(), Known::default(), Vec::new());
+    let (mut support, mut doubtful) = (Support::default(), Vec::new());
     simd::dispatch(
         #[inline(always)]
         || {
             support.begin(absolute, REACH.1, PAD);
-            known.begin(absolute.width());
             let mut dropped = 0;
             for v in 0..absolute.height() {
                 let (misfit, zone) = (windows.misfit.row(v), outside.row(v));
-                if let Some(leaves) = v.checked_sub(ROWS - REACH.1) {
-                    known.take_off(support.row(v - 1, 0), runs.span(leaves));
-                }
                 support.advance(
                     v,
                     absolute,
@@ -93,10 +89,6 @@ pub fn refine(
                         }
                     },
                 );
-                let enter = if v == 0 { 0 } else { v + REACH.1 }..=v + REACH.1;
-                for row in enter.filter(|&row| row < absolute.height()) {
-                    known.add(support.row(v, row + REACH.1 - v), runs.span(row));
-                }
                 doubtful.clear();
                 for run in runs.row(v) {
                     let part = run.columns();
@@ -112,8 +104,8 @@ pub fn refine(
                     let count = left.iter().take_while(|&&u| u < first + LANES).count();
                     let block;
                     (block, left) = left.split_at(count);
-                    let laid = if known.support(first, block) {
-                        let around = around(&good, first);
+                    let around = around(&good, first);
+                    let laid = if is_supported(&around) {
                         let phase = subpixel::part(absolute.row(v), first, f32::NAN);
                         let mut carrier: Lanes = subpixel::part(period.row(v), first, f32::NAN);
                         for carrier in &mut carrier {
@@ -169,8 +161,8 @@ pub fn own_error(misfit: f32, amplitude: f32) -> f32 {
     ERROR_PER_MISFIT * (misfit * misfit - noise * noise).max(0.0).sqrt()
 }
 
-/// Pixels beside each other whose planes are laid at once: doubtful ones come in stretches, and their samples lie side by
-/// side in memory.
+/// Pixels beside each other whose planes are laid at once: doubtful ones come in stretches, and their samples lie side
+/// by side in memory.
 const LANES: usize = 8;
 type Lanes = [f32; LANES];
 
@@ -181,7 +173,7 @@ const ROWS: usize = 2 * REACH.1 + 1;
 /// Room beside the rows of support: the reach, and lanes beyond the row's end.
 const PAD: usize = REACH.0 + LANES;
 
-/// What planes through good phases say of the pixels in their middles.
+/// Phase and expected error of the pixels in the middle of planes through good phases, rad.
 struct Laid {
     phase: Lanes,
     /// Infinite where there is no plane.
@@ -202,48 +194,18 @@ fn around<'a>(good: &[&'a [f32]; ROWS], u: usize) -> Around<'a> {
     around
 }
 
-/// How many of the rows around the one that is worked on have a good phase, column by column with [`PAD`] to either side.
-#[derive(Debug, Default)]
-struct Known(Vec<u8>);
-
-impl Known {
-    /// Begins a frame of this width.
-    fn begin(&mut self, width: usize) {
-        self.0.clear();
-        self.0.resize(width + 2 * PAD, 0);
-    }
-
-    /// Counts a row of support, which is known within `columns`.
-    #[inline(always)]
-    fn add(&mut self, row: &[f32], columns: Range<usize>) {
-        let columns = columns.start + PAD..columns.end + PAD;
-        for (count, phase) in self.0[columns.clone()].iter_mut().zip(&row[columns]) {
-            *count += u8::from(!phase.is_nan());
-        }
-    }
-
-    /// Counts it no longer.
-    #[inline(always)]
-    fn take_off(&mut self, row: &[f32], columns: Range<usize>) {
-        let columns = columns.start + PAD..columns.end + PAD;
-        for (count, phase) in self.0[columns.clone()].iter_mut().zip(&row[columns]) {
-            *count -= u8::from(!phase.is_nan());
-        }
-    }
-
-    /// Whether one of the pixels of a block, which begins at column u, has enough good ones around it for a plane.
-    #[inline(always)]
-    fn support(&self, u: usize, block: &[usize]) -> bool {
-        const { assert!(ROWS * COLUMNS <= u8::MAX as usize) };
-        let around: &[u8; SPAN] = subpixel::chunk(&self.0, u + PAD - REACH.0);
-        let mut known = [0u8; LANES];
+/// Whether enough phases around any pixel of a block are good for a plane. Most blocks beside outlines have too few.
+#[inline(always)]
+fn is_supported(around: &Around<'_>) -> bool {
+    let mut known = [0u32; LANES];
+    for good in around {
         for column in 0..COLUMNS {
             for i in 0..LANES {
-                known[i] += around[column * COLUMN_STEP + i];
+                known[i] += u32::from(!good[column * COLUMN_STEP + i].is_nan());
             }
         }
-        block.iter().any(|at| usize::from(known[(at - u) % LANES]) >= MIN_SUPPORT)
     }
+    known.iter().any(|known| *known >= MIN_SUPPORT as u32)
 }
 
 /// Sums of 1, x, y and of their products; of the residual phase z, and of its products with them.
@@ -274,8 +236,10 @@ const COUNTS: [f32; ROWS] = {
     counts
 };
 
-/// Where the sums of rows and of squares begin: there are up to 11 pixels, and their rows come to 55.
+/// The bit at which the sum of rows begins in [`COUNTS`]: there are up to 11 pixels.
 const ROW_BITS: u32 = 4;
+
+/// The bit at which the sum of squares begins in [`COUNTS`]: rows come to 55.
 const SQUARE_BITS: u32 = 10;
 
 impl Sums {

@@ -16,8 +16,10 @@ use crate::kernels::subpixel::{self, LANES, Lanes};
 use crate::kernels::{fast_atan2, simd};
 use crate::phase::window_quality::{self, LEAST_AMPLITUDE_DN};
 
-/// Mean and ripple of the formula's bias, per second difference over half a period to each side.
+/// Mean of the formula's bias, per second difference over half a period to each side.
 const MEAN: f32 = 0.176;
+
+/// Ripple of that bias with `cos 2 phi`.
 const RIPPLE: f32 = 0.037;
 
 /// Bends per half period beyond this are steps between surfaces, rad.
@@ -30,11 +32,13 @@ const MAX_MISFIT: f32 = 0.15;
 /// planes would be rougher by a tenth.
 const NOISE_RAD_DN: f32 = 1.0;
 
-/// Rows to each side over which the second difference along the column is taken, and its largest value, rad.
+/// Rows to each side over which the second difference along the column is taken.
 const REACH_ROWS: usize = 6;
+
+/// Second differences along the column beyond this are steps between surfaces, rad.
 const MAX_BEND_ROWS: f32 = 1.0;
 
-/// Columns beyond the ends of a row that may be asked for; no period is longer.
+/// Columns beyond the ends of a row that can be read; no period is longer.
 const PAD: usize = 64;
 
 /// Takes the bias off `absolute`, which is known within `runs` only (NaN: unknown). Phases are means of `rows` rows, of
@@ -172,7 +176,8 @@ fn beside(row: &[f32], first: usize, k: &[u32; LANES], times: usize) -> Beside {
     Beside { before, behind, share }
 }
 
-/// The first `count` periods of a block in whole columns. What is behind them is nobody's, and as the first one.
+/// The first `count` periods of a block in whole columns. Lanes behind them belong to no pixel; they repeat the first
+/// one.
 #[inline(always)]
 fn all_columns(period: &Lanes, count: usize) -> [u32; LANES] {
     let (first, count) = (period[0], count as i32);

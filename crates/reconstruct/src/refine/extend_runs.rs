@@ -3,8 +3,8 @@
 //!
 //! A mask ends where the light does, in the valley beside the last bright fringe, and the surface often goes on in the
 //! dark: windows of whole fringes that reach over the mask's border by a few pixels are good. And the period, which is
-//! counted over a window that is shifted at the ends of a run, is not that of a surface which turns away there. From the
-//! phases themselves it is known better: they tell how the fringe goes on.
+//! counted over a window that is shifted at the ends of a run, is not that of a surface which turns away there. From
+//! the phases themselves it is known better: their course predicts how the fringe goes on.
 //!
 //! So the pixels beside the last known phase get windows of the period that its course foretells, one after the other
 //! towards the end, as long as what they see agrees with it; and those at the end whose misfit is doubtful are
@@ -19,24 +19,36 @@ use crate::phase::window_quality::{self, DOUBTFUL_MISFIT, Windows};
 use std::f32::consts::TAU;
 use std::ops::Range;
 
-/// How far a window may reach beyond its run: share of a period, and px.
+/// How far a window may reach beyond its run, as a share of its period.
 const BEYOND: f32 = 0.35;
+
+/// How far a window may reach beyond its run at most, px.
 const BEYOND_PX: f32 = 6.0;
 
-/// Largest misfit of a window that does.
+/// Largest misfit of a window that reaches beyond its run.
 const BEYOND_MISFIT: f32 = 0.2;
 
-/// A hole in a row may be a dark spot on one surface, whose edge a window that leaves the run would see. It is no longer than this, px,
-/// and the phase on its other side is where the carrier leads, but for a share of the way and some rad.
+/// A hole in a row that is no longer than this, px, may be a dark spot on one surface. Windows must not reach into it:
+/// they would see the spot's edge.
 const SPOT_PX: usize = 64;
+
+/// A hole is a spot if the phase on its other side is where the carrier leads, but for this share of the way ..
 const SPOT_SHARE: f32 = 0.1;
+
+/// .. and this much more, rad.
 const SPOT_RAD: f32 = 1.0;
 
-/// Largest difference of a phase to what the course of those beside it foretells, rad.
+/// Largest difference of a new phase from what the course of those beside it predicts, rad.
 const MAX_STEP: f32 = 0.4;
 
-/// Periods that are demodulated here, px: those at outlines are shorter and longer than any that is counted.
+/// Periods that are demodulated here, px: at outlines they are shorter and longer than those that are counted.
 const PERIODS_PX: Range<f32> = 4.5..32.0;
+
+/// Least and largest distance of the phases that the course is taken from, px: half a period, as far as these allow.
+const COURSE_PX: Range<f32> = 3.0..12.0;
+
+/// Least distance of the phases that a slope is taken from, px: a third of a period where that is more.
+const LEAST_SLOPE_PX: f32 = 2.0;
 
 /// Slopes that differ from the carrier's by more than this share are not those of one surface.
 const SAME_SLOPE: f32 = 0.6;
@@ -44,16 +56,19 @@ const SAME_SLOPE: f32 = 0.6;
 /// The bend of the course changes its slope by this share at most.
 const MAX_BEND: f32 = 0.3;
 
-/// Pixels up to this distance from the end are demodulated again from this misfit on, if the period of the phases differs by
-/// no more than this share of the counted one.
+/// Doubtful pixels up to this distance from the end of a run are demodulated again, px.
 const END_PX: usize = 12;
+
+/// They are if the period by the phases differs from the counted one by no more than this share.
 const PERIOD_CHANGE: f32 = 0.3;
 
-/// What is found is better if its misfit is less than this share of what it was, and the phase changes by no more, rad.
+/// The new phase is taken if its misfit is less than this share of the old one ..
 const LESS_MISFIT: f32 = 0.9;
+
+/// .. and it differs from the old phase by no more than this, rad.
 const PHASE_CHANGE: f32 = 0.5;
 
-/// What is read.
+/// What [`complete`] reads of a frame.
 pub(crate) struct Input<'a> {
     pub image: &'a Plane<u8>,
     pub runs: &'a Runs,
@@ -64,8 +79,8 @@ pub(crate) struct Input<'a> {
     pub sign: f32,
 }
 
-/// Adds phases at the ends of runs to `absolute`, which is known within them only, and improves those that are doubtful there.
-/// Returns how many were added.
+/// Adds phases at the ends of runs to `absolute`, which is known within them only, and improves those that are
+/// doubtful there. Returns how many were added.
 pub(crate) fn complete(
     input: &Input<'_>,
     absolute: &mut Plane<f32>,
@@ -77,7 +92,7 @@ pub(crate) fn complete(
         || {
             let mut added = 0;
             for v in 0..absolute.height() {
-                ask_for_ends(input, absolute, windows, period, v + prefetch::AHEAD);
+                prefetch_ends(input, absolute, windows, period, v + prefetch::AHEAD);
                 let mut row = Row {
                     absolute: absolute.row_mut(v),
                     strength: windows.strength.row_mut(v),
@@ -96,10 +111,9 @@ pub(crate) fn complete(
     )
 }
 
-/// Asks for the ends of a row's runs in all planes that are needed there, which lie far from each other in memory, so that none has to be
-/// waited for by itself.
+/// Prefetches the ends of a row's runs in all planes that are needed there, which lie far from each other in memory.
 #[inline(always)]
-fn ask_for_ends(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, period: &Plane<f32>, v: usize) {
+fn prefetch_ends(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, period: &Plane<f32>, v: usize) {
     if v >= absolute.height() {
         return;
     }
@@ -191,7 +205,7 @@ impl Row<'_> {
         added
     }
 
-    /// Whether what lies between two runs may be a spot on one surface: beside what has no order nothing tells so.
+    /// Whether the hole between two runs may be a spot on one surface. Beside pixels without an order it is none.
     #[inline(always)]
     fn is_spot(&self, run: &Run, next: &Run) -> bool {
         if next.start() - run.end() > SPOT_PX {
@@ -258,7 +272,7 @@ impl Row<'_> {
         count
     }
 
-    /// Demodulates doubtful pixels of a part of a run again, at the period that the phases around them tell.
+    /// Demodulates doubtful pixels of a part of a run again, at the period by the phases around them.
     #[inline(always)]
     fn improve(&mut self, columns: &Range<usize>, part: Range<usize>) {
         const { assert!(END_PX <= LANES) };
@@ -312,8 +326,8 @@ impl Row<'_> {
         (self.misfit[u], self.period[u]) = (found.misfit[lane], period);
     }
 
-    /// Whether a pixel can be demodulated at a period: not where the window reaches too far beyond the run, or the period is
-    /// none.
+    /// Whether a pixel can be demodulated at a period: not where the window reaches too far beyond the run, or the
+    /// period is none.
     #[inline(always)]
     fn has_window(&self, columns: &Range<usize>, u: usize, period: f32) -> bool {
         let (half, beyond) = (period / 2.0, (BEYOND * period).min(BEYOND_PX));
@@ -323,7 +337,8 @@ impl Row<'_> {
             && u as f32 + half + 1.0 < self.image.len() as f32
     }
 
-    /// Looks up the windows of some of the pixels from `first` on, or before it (`step` -1), which have them, at their periods.
+    /// Looks up the windows of some of the pixels from `first` on, or before it (`step` -1), which have them, at their
+    /// periods.
     #[inline(always)]
     fn look(
         &self,
@@ -408,7 +423,7 @@ impl Row<'_> {
     fn course(&self, columns: &Range<usize>, from: usize, step: isize) -> Course {
         let period = self.period[from];
         let carrier = self.sign * step as f32 * TAU / period;
-        let reach = (period / 2.0).round().clamp(3.0, 12.0);
+        let reach = (period / 2.0).round().clamp(COURSE_PX.start, COURSE_PX.end);
         let steps = step * fast_round::whole(reach) as isize;
         let (near, far) = (self.at(columns, from, -steps), self.at(columns, from, -2 * steps));
         let phase = self.absolute[from];
@@ -421,7 +436,7 @@ impl Row<'_> {
         Course { phase, slope, bend, behind: reach / 2.0 }
     }
 
-    /// Slopes of the `phase` of some of the pixels behind `first`, rad/px; NaN where none can be told.
+    /// Slopes of the `phase` of some of the pixels behind `first`, rad/px; NaN where there is none.
     #[inline(always)]
     fn slopes(
         &self,
@@ -433,7 +448,7 @@ impl Row<'_> {
     ) -> Lanes {
         let mut reach = [0f32; LANES];
         for i in 0..LANES {
-            reach[i] = (period[i] / 3.0).round().max(2.0);
+            reach[i] = (period[i] / 3.0).round().max(LEAST_SLOPE_PX);
         }
         // Two before and two behind.
         let mut beside = [[f32::NAN; LANES]; 4];
@@ -481,14 +496,14 @@ struct Course {
 }
 
 impl Course {
-    /// Slope after so many pixels, rad/px.
+    /// Slope of the phase at this distance, px, from the pixel, in rad/px.
     #[inline(always)]
     fn slope(&self, distance: f32) -> f32 {
         let most = MAX_BEND * self.slope.abs();
         self.slope + (self.bend * (distance + self.behind)).clamp(-most, most)
     }
 
-    /// Phase after so many pixels, rad.
+    /// Phase at this distance, px, from the pixel, in rad.
     #[inline(always)]
     fn phase(&self, distance: f32) -> f32 {
         self.phase + distance * self.slope(distance / 2.0)

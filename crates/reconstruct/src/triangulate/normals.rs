@@ -10,7 +10,7 @@ use super::ray_table::RayTable;
 /// Pixels to the neighbours whose points span the tangent plane; nearer ones where these are missing.
 const REACH_PX: [usize; 2] = [3, 1];
 
-/// The larger of them.
+/// Rows and columns that a normal reaches to each side, px.
 pub(crate) const REACH: usize = REACH_PX[0];
 
 /// Neighbours this much further away than the pixel spacing allows are on another surface.
@@ -46,7 +46,7 @@ pub(crate) struct Oriented {
 
 /// The normals of the points at `place ..` of the middle row, towards the camera. `rows` are those at -3, -1, 0,
 /// 1 and 3. A point without a normal, or that faces away from the projector that is supposed to light it, is no good.
-/// Without `NEAR` only neighbours at three pixels count: few blocks have to ask for nearer ones.
+/// Without `NEAR` only neighbours at three pixels count: few blocks need nearer ones.
 #[inline(always)]
 pub(crate) fn orient<const NEAR: bool>(rows: &[Row<'_>; 5], place: usize, table: &RayTable) -> Oriented {
     let [above, just_above, own, just_below, below] = rows;
@@ -100,8 +100,8 @@ fn limits(points: &[Lanes; 3], table: &RayTable) -> Lanes {
     limit
 }
 
-/// Differences of the points before and after, of one of them to the centre where the other is missing, 0 where both are; and
-/// where there is one (all bits). `limit`: the square of the largest distance for a reach of 1.
+/// Differences of the points before and after, of one of them to the centre where the other is missing, 0 where both
+/// are; and where there is one (all bits). `limit`: the square of the largest distance for a reach of 1.
 #[inline(always)]
 fn differences(
     centre: &[Lanes; 3],

@@ -63,8 +63,8 @@ impl KnownPixels<'_> {
     }
 }
 
-/// Puts the known pixels of a frame of so many columns and rows together, in whole steps. `sigma_code` holds the standard uncertainty of the
-/// phase, as a byte, where it is asked for.
+/// Collects the known pixels of a frame in whole steps. `sigma_code` holds the standard uncertainty of each phase as a
+/// byte, where uncertainties are wanted; `frame` is columns and rows.
 pub fn phase_map(known: &KnownPixels<'_>, sigma_code: Option<&Plane<u8>>, frame: [u16; 2]) -> PhaseMap {
     let mut map = PhaseMap { frame, ..PhaseMap::default() };
     let mut room = vec![0u8; known.roi.width];
@@ -100,7 +100,7 @@ fn steps(phase: f32) -> i32 {
     whole((phase * (STEPS_PER_FRINGE / TAU)).clamp(-MAX_STEPS, MAX_STEPS))
 }
 
-/// A row of points.
+/// A row of points in the ring.
 #[derive(Default)]
 struct RingRow {
     /// x, y and z of each point, world, m; NaN: none.
@@ -131,8 +131,7 @@ impl RingRow {
 }
 
 /// The cloud of a frame, in the world. Pixels whose point lies outside the volume, has no normal or faces away from
-/// the projector that is supposed to light it, give none. The map must be of the table's camera
-/// ([`RayTable::fits`]).
+/// the projector that is supposed to light it, give none. The map must be of the table's camera.
 pub fn make(table: &RayTable, map: &PhaseMap) -> Cloud {
     simd::dispatch(
         #[inline(always)]
@@ -306,8 +305,8 @@ impl RunNormals {
         Self { normals: [zeros(), zeros(), zeros()], good: vec![0; width] }
     }
 
-    /// Takes the normals of `count` points from `place` on. `rows` are those around them that [`orient`] asks for. `block` is told the first
-    /// of each [`LANES`] of them.
+    /// Computes the normals of `count` points from `place` on. `rows` are those around them that [`orient`] needs.
+    /// `block` is called with the number of the first of each [`LANES`] points.
     #[inline(always)]
     fn orient(
         &mut self,
@@ -338,8 +337,8 @@ impl RunNormals {
     }
 }
 
-/// Asks for the memory of [`LANES`] points that are appended soon, behind so many others: a cloud is larger than the cache, and to
-/// write it would take longer than to make it.
+/// Prefetches the memory of [`LANES`] points that are appended soon, `offset` places behind the end: a cloud is larger
+/// than the cache, and writing it would take longer than computing it.
 #[inline(always)]
 fn expect(cloud: &mut Cloud, offset: usize) {
     ask_for(&mut cloud.position_m, offset);
@@ -348,7 +347,7 @@ fn expect(cloud: &mut Cloud, offset: usize) {
     ask_for(&mut cloud.pixel, offset);
 }
 
-/// The same of one of its lists.
+/// The same for one of the lists of a cloud.
 #[inline(always)]
 fn ask_for<T>(list: &mut Vec<T>, offset: usize) {
     let room = list.spare_capacity_mut();

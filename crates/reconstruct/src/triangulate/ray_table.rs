@@ -12,17 +12,17 @@ use crate::kernels::prefetch;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
 
-/// Pixels between nodes.
+/// Pixels between neighbouring nodes, along columns and rows.
 pub const NODE_PX: usize = 8;
 
-/// Pixels that are worked on at once: loops over so many become vectors, those over the pixels between two nodes would be
-/// taken apart first.
+/// Pixels that are worked on at once. The compiler turns loops of this length into vectors; loops over the pixels
+/// between two nodes it would unroll.
 pub(crate) const BLOCK_PX: usize = 32;
 
 /// A number for each pixel of a block.
 type Block = [f32; BLOCK_PX];
 
-/// Coefficients of the polynomial.
+/// Coefficients of the polynomial: its degree is 5, which is exact to 0.01 mm.
 const TERMS: usize = 6;
 
 /// A node: direction of sight in the world (camera z = 1), then the polynomial from its constant term on.
@@ -34,7 +34,7 @@ const PANEL_MARGIN: f64 = 1.2;
 /// Depths that are tried to find the part of a line of sight that the panel can light.
 const TRIED_DEPTHS: usize = 17;
 
-/// No surface is nearer to a camera, m.
+/// Lines of sight are tabulated from this depth on, m.
 const NEAREST_M: f64 = 0.2;
 
 /// The lines of sight of one camera, with what its projector's columns do on them.
@@ -56,8 +56,8 @@ pub struct RayTable {
     volume: [[f32; 3]; 2],
 }
 
-/// The lines of sight of a row, block by block of 8 px: the node of its first pixel, and what it changes by from pixel to
-/// pixel. There is one node more than there are blocks.
+/// The lines of sight of a row, block by block of 8 px: the node of its first pixel, and what it changes by from pixel
+/// to pixel. There is one node more than there are blocks.
 #[derive(Debug, Default)]
 pub(crate) struct Line {
     from: Vec<Node>,
@@ -114,15 +114,15 @@ impl RayTable {
         Sightline { direction: [x, y, z], terms }
     }
 
-    /// The first and the last absolute phase, in fringes, at which the line of sight of pixel (u, v) is in the volume, to half a fringe;
-    /// the first is above the last where it misses it.
+    /// The first and the last absolute phase, in fringes, at which the line of sight of pixel (u, v) is in the volume,
+    /// to half a fringe; the first is above the last where it misses it.
     pub(crate) fn fringes_in_volume(&self, u: usize, v: usize) -> [f32; 2] {
         let (column, row) = ((u + NODE_PX / 2) / NODE_PX, (v + NODE_PX / 2) / NODE_PX);
         self.inside.get(row * self.columns + column).copied().unwrap_or(NOWHERE)
     }
 
-    /// Inverse of the depth at which a line of sight has the absolute phases `first`, `first + 1`, ..., in fringes; no number outside of
-    /// the volume.
+    /// Inverse of the depth at which a line of sight has the absolute phases `first`, `first + 1`, ..., in fringes; no
+    /// number outside of the volume.
     #[inline(always)]
     pub(crate) fn inverse_depths<const N: usize>(&self, line: &Sightline, first: f32) -> [f32; N] {
         let mut inverse = [0f32; N];
@@ -149,7 +149,7 @@ impl RayTable {
         let above = v / NODE_PX * self.columns + first;
         let t = (v % NODE_PX) as f32 / NODE_PX as f32;
         let (a, b) = (&self.nodes[above..=above + blocks], &self.nodes[above + self.columns..]);
-        // A row of nodes is new to the cache every eight rows: a part of the next one is asked for in each of those before.
+        // Every eighth row needs a new row of nodes: each of the rows before prefetches a part of it.
         let next = &self.nodes[self.nodes.len().min(above + 2 * self.columns)..];
         let part = blocks.div_ceil(NODE_PX);
         for node in next.iter().take(blocks + 1).skip(v % NODE_PX * part).take(part + 1) {
@@ -167,9 +167,9 @@ impl RayTable {
         }
     }
 
-    /// The points of the pixels of some blocks of [`BLOCK_PX`]. `fringes`: absolute phase of each pixel in fringes, NaN
-    /// where it is not known and beyond the lines of sight of `line`. All coordinates are written, NaN where there is no
-    /// point; and metres along the line of sight per rad of phase, unless that is empty.
+    /// The points of the pixels of some blocks of [`BLOCK_PX`]. `fringes`: absolute phase of each pixel in fringes,
+    /// NaN where it is not known and beyond the lines of sight of `line`. All coordinates are written, NaN where there
+    /// is no point; and metres along the line of sight per rad of phase, unless that is empty.
     #[inline(always)]
     pub(crate) fn points(
         &self,
@@ -259,7 +259,7 @@ fn scale(c: &[Block; 3 + TERMS], (s, depth, per_rad): (&Block, &Block, f32), met
     }
 }
 
-/// No fringes.
+/// The fringes of a line of sight that misses the volume: the first is above the last.
 const NOWHERE: [f32; 2] = [1.0, 0.0];
 
 /// The fringes between which the line of sight of a pixel is in the volume, and half a fringe more at either end.
