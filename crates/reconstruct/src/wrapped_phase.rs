@@ -19,18 +19,18 @@ use super::phase::{period, shading};
 use super::triangulate::camera_projector::CameraProjector;
 use crate::base::image::{Mono8, Plane};
 
-/// What the front end gives, on the region of interest.
+/// The results of the front end; all planes cover the region of interest.
 #[derive(Debug)]
 pub struct Front {
     /// Runs of the object: nothing is known outside of them.
     pub runs: Runs,
-    /// Pm, px; 0 where it is unknown.
+    /// Fringe period Pm, px; 0 where it is unknown.
     pub period: Plane<f32>,
-    /// What is left of the windows of Wm.
+    /// Amplitude, light and misfit of the window of each pixel.
     pub windows: Windows,
-    /// Wm, rad; NaN where it is unknown.
+    /// Wrapped phase Wm, rad; NaN where it is unknown.
     pub wrapped: Plane<f32>,
-    /// Around the marker: not 0.
+    /// Not 0 around the marker, where phases are means over its period.
     pub zone: Plane<u8>,
     /// Runs of the pixels on the marker's cores, which name a fringe.
     pub cores: Runs,
@@ -43,16 +43,16 @@ pub struct Front {
 /// Rows that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub struct Buffers {
-    /// Where planes are looked at.
+    /// Which columns beside the runs later stages read.
     surroundings: Surroundings,
     period: period::Buffers,
     marker: marker::Buffers,
-    /// C and S of each row as demodulated, and with the marker's means.
+    /// Rings of rows of C and S: as demodulated, and with the marker's means in its zone.
     raw: [Vec<Vec<f32>>; 2],
     bridged: [Vec<Vec<f32>>; 2],
-    /// The latter with a length of 1, and their lengths.
+    /// The phasors of `bridged` with a length of 1, and their lengths.
     units: [Vec<Vec<f32>>; 3],
-    /// What their windows have beside the fringe.
+    /// The misfit of the windows, in a ring of rows.
     misfit: Vec<Vec<f32>>,
     /// C and S of a row before the bias of shading is taken off.
     shaded: [Vec<f32>; 2],
@@ -65,7 +65,7 @@ pub struct Buffers {
     known: usize,
 }
 
-/// Rows of `bridged`: five that are averaged.
+/// Rows in the rings of `bridged` and `units`: as many as are averaged.
 const BRIDGED: usize = demodulate::ROWS;
 
 /// Which results are wanted beside those that every frame gives.
@@ -73,8 +73,8 @@ const BRIDGED: usize = demodulate::ROWS;
 pub(super) struct Keep {
     /// Whether to keep the plane of the marker's energy.
     pub energy: bool,
-    /// Light and misfit of 0 beside the runs, where they are any otherwise; periods and phases that are none far
-    /// beside them, too.
+    /// Whether to define all planes beside the runs, for readers of whole rows: light and misfit become 0, periods and
+    /// phases unknown.
     pub define_outside_runs: bool,
 }
 
@@ -190,7 +190,7 @@ impl Input<'_> {
     fn demodulate(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows) {
         let Buffers { raw: [c, s], misfit, shaded, light, mean, .. } = buffers;
         let (length, misfits) = (c.len(), misfit.len());
-        // Rows that are known to be of one length need one look whether a block fits.
+        // Slices of one length: the compiler then checks once whether a block fits.
         let room = ..self.room();
         let (c, s) = (&mut c[v % length][room], &mut s[v % length][room]);
         let misfit = &mut misfit[v % misfits][room];
@@ -305,7 +305,7 @@ impl Input<'_> {
         fill_around(self.runs.row(v), wrapped.row_mut(v), surroundings.columns(v), f32::NAN);
         let (strength, misfit) = (self.rest(&mut windows.strength, v), self.rest(&mut windows.misfit, v));
         let phases = self.rest(wrapped, v);
-        // The marker's zone is in few rows: the others need not come from memory.
+        // Few rows cross the marker's zone: for the others the plane need not be loaded.
         let marked = !self.zone_runs.row(v).is_empty();
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {

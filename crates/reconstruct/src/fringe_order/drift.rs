@@ -9,7 +9,8 @@ use super::evidence::{NO_ORDER, OrderTable};
 use super::inference::Field;
 use super::observation::{Observations, Observed, PLACES};
 use super::projection::{LANES, Ray};
-use super::{Scene, View};
+use super::scene::Scene;
+use super::unwrapped_frame::View;
 use nalgebra::{Matrix3, Vector3};
 use std::f32::consts::{PI, TAU};
 

@@ -6,12 +6,12 @@
 //! the body, or the place *would hide* what it sees there, the label costs more; a place that *is hidden* from it
 //! costs little.
 
-use super::Scene;
 use super::drift::{Differences, TERMS};
 use super::inference::{Costs, Field, LABELS, NEVER, STEP};
 use super::observation::{Observations, Observed, PLACES};
 use super::patches::Patches;
 use super::projection::{LANES, Ray};
+use super::scene::Scene;
 use crate::kernels::fast_round::nearest;
 use crate::kernels::simd;
 use std::f32::consts::{PI, TAU};
@@ -40,12 +40,6 @@ const OTHER_HEAD: CameraWeight =
 
 /// Factor on all observations of a patch: neighbouring patches and cameras are not independent.
 const EVIDENCE: f32 = 0.3;
-
-/// By how much one marker pixel lowers the cost of its patch's label.
-const MARKER: f32 = 0.3;
-
-/// By how much all marker pixels of a patch together lower that cost at most.
-const MARKER_MOST: f32 = 3.0;
 
 /// Factor on `width_rad` in the first pass, in which the differences between cameras are not known yet.
 const WIDER: f32 = 2.0;
@@ -227,11 +221,6 @@ pub fn collect(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &OrderTable, 
 fn in_steps(costs: &[f32; LABELS]) -> Costs {
     let least = costs.iter().copied().fold(f32::MAX, f32::min);
     costs.map(|cost| ((cost - least) * (1.0 / STEP)).min(f32::from(NEVER)) as i16)
-}
-
-/// By how much `px` marker pixels lower the cost of their patch's label.
-pub fn marker(px: u32) -> f32 {
-    (MARKER * px as f32).min(MARKER_MOST)
 }
 
 /// The cameras that a view's patches are compared with.

@@ -2,8 +2,8 @@
 //! The labels of a view's patches that cost least together: tree-reweighted message passing, one sweep after the other
 //! (TRW-S; Kolmogorov, IEEE PAMI 28:1568, 2006).
 
-use super::Scene;
 use super::links::Link;
+use super::scene::Scene;
 use crate::kernels::simd;
 use std::f32::consts::TAU;
 
@@ -20,6 +20,12 @@ pub const NEVER: i16 = 12_800;
 /// Sweeps of message passing, each over all patches forwards and backwards.
 const SWEEPS: usize = 2;
 
+/// By how much one marker pixel lowers the cost of its patch's label.
+const MARKER: f32 = 0.3;
+
+/// By how much all marker pixels of a patch together lower that cost at most.
+const MARKER_MOST: f32 = 3.0;
+
 /// A cost for each label, in steps.
 pub type Costs = [i16; LABELS];
 
@@ -29,7 +35,7 @@ pub type Costs = [i16; LABELS];
 pub struct Graph {
     /// Costs of each label by itself.
     pub unary: Vec<Costs>,
-    /// Least costs of all together with each label.
+    /// For each label of a patch, the least cost of all patches together with it.
     pub marginal: Vec<Costs>,
     /// The label of each patch.
     pub label: Vec<i32>,
@@ -89,7 +95,7 @@ impl<'a> Field<'a> {
     pub fn votes(&self) -> impl Iterator<Item = (u32, i32, f32)> {
         let votes = self.scene.votes.iter();
         votes.map(|&(patch, turns, px)| {
-            (patch, turns + self.base[patch as usize], super::evidence::marker(px))
+            (patch, turns + self.base[patch as usize], (MARKER * px as f32).min(MARKER_MOST))
         })
     }
 }
@@ -176,7 +182,7 @@ impl Graph {
             later += usize::from(is_a);
             add(&mut sum, &self.messages[k as usize][usize::from(is_a)]);
         }
-        // Of 65536.
+        // A share, in units of 1/65536.
         let gamma = u32::from(u16::MAX) / later.max(of.len() - later).max(1) as u32;
         for &k in of {
             let link = &self.links[k as usize];

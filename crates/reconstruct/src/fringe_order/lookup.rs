@@ -30,13 +30,13 @@ fn words(cells: usize) -> usize {
     (cells * CELL_PX).div_ceil(WORD)
 }
 
-/// What a cell is for those who look at it from elsewhere.
+/// What the other cameras see in a cell, in 16 bytes.
 #[derive(Debug, Clone, Copy)]
 pub struct CellContent {
-    /// The node that fills it, or one of the following; then the phase of the node's plane at the cell's first pixel,
-    /// rad; NaN where there is none.
+    /// The node that fills it, or one of the constants below; then the phase of the node's plane at the cell's first
+    /// pixel, rad, as bits of a float; NaN where there is none.
     surface: [u32; 2],
-    /// Of a plane its steps, of [`Self::NEAR`] its pixels, the upper rows first.
+    /// Of a plane its two steps, as bits of floats; of [`Self::NEAR`] a bit for each pixel, the upper rows first.
     bits: [u32; 2],
 }
 

@@ -9,10 +9,10 @@
 //! What a camera has there lies anywhere in memory. So the cells of all cameras are loaded before anything is decided
 //! by one of them, and then the pixels of those that need it: while the processor waits for one it fetches the others.
 
-use super::Scene;
 use super::lookup::{CellContent, CellLanes, CellLookup};
 use super::patches::CELL_PX;
 use super::projection::{LANES, Projected, Ray};
+use super::scene::Scene;
 use crate::kernels::fast_round::floor;
 use crate::kernels::{prefetch, simd};
 use std::f32::consts::TAU;

@@ -76,7 +76,7 @@ pub struct Patches {
     pub links: Vec<Link>,
     /// The patches of each cell, row by row.
     pub(super) grid: Vec<Spot>,
-    /// The cells at a glance.
+    /// The cells as the other cameras look them up.
     pub lookup: CellLookup,
 }
 
@@ -112,7 +112,7 @@ impl Patches {
             #[inline(always)]
             || {
                 let (mut object, mut pairs) = (Object::new(w), Vec::new());
-                // Rows touch the next one, which is in the cache yet.
+                // Links need the next row of cells: it is cut first, while both are in the cache.
                 for row in 0..=rows {
                     if row < rows {
                         object.mark(surface.object, row);
@@ -151,7 +151,7 @@ impl Patches {
             write(surface.phase, left, top, &phase);
             let plane = plane(&phase);
             self.add(ALL, (column, row), &phase, &right, &down);
-            // Noise is less in all of its pixels than in one.
+            // The plane through all pixels has less noise than one pixel.
             let (u, v) = (MIDDLE % CELL_PX, MIDDLE / CELL_PX);
             self.all[first].phase = plane.at(u as f32, v as f32);
             self.grid[row * self.columns + column] = Spot { first: first as u32, count: 1 };
@@ -286,7 +286,7 @@ fn unwrap(phase: &mut Block, period: &Block, sign: f32) {
 #[inline(always)]
 fn steps(phase: &Block, period: &Block, sign: f32) -> (Block, Block, f32) {
     let (mut right, mut down) = ([[0.0; CELL_PX]; CELL_PX], [[0.0; CELL_PX]; CELL_PX]);
-    // Bits of numbers without a sign are ordered as these are, and NaN is above all.
+    // Positive floats are ordered as their bits are, with NaN above all.
     let mut largest = [0u32; CELL_PX];
     let turn = sign * 2.0 * TAU;
     for v in 0..CELL_PX {

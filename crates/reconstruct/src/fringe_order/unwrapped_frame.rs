@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A frame whose phase is known except for its fringe orders.
 
-use super::{Orders, Regions};
+use super::orders::{Orders, Regions};
 use crate::base::image::Plane;
 use crate::counts::Counts;
 use crate::data::STEPS_PER_LEVEL;
@@ -10,6 +10,7 @@ use crate::kernels::region_of_interest::Roi;
 use crate::kernels::stage_times::Clock;
 use crate::phase::window_quality::Windows;
 use crate::triangulate::ray_table::RayTable;
+use crate::triangulate::triangulator::Triangulator;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -67,4 +68,17 @@ impl UnwrappedFrame {
     pub fn add_time(&mut self, stage: &'static str, time: Duration) {
         self.clock.0.push((stage, time));
     }
+}
+
+/// One camera's frame and its geometry: what [`super::solve`] takes of each camera.
+#[derive(Debug)]
+pub struct View<'a> {
+    /// The camera's name, for messages to the user.
+    pub id: &'a str,
+    /// The geometry of the camera and its projector.
+    pub triangulator: &'a Triangulator,
+    /// Which head it belongs to: cameras of equal number see the same projector.
+    pub head: usize,
+    /// Its frame, whose orders are found or refused.
+    pub prepared: &'a mut UnwrappedFrame,
 }

@@ -156,13 +156,14 @@ pub(crate) fn fill_around<T: Copy>(runs: &[Run], row: &mut [T], columns: Range<u
     row[done..columns.end.max(done)].fill(value);
 }
 
-/// Rows that have their [`Surroundings`] together.
+/// Rows of a band; [`Surroundings`] are kept by bands.
 const BAND_ROWS: usize = 16;
 
-/// How far stages look beside the runs of a row, at most: they look as many rows up and down as a band has, too.
+/// How far beside the runs of a row stages read at most, px. Up and down they read no further than a band.
 const BESIDE_PX: usize = 64;
 
-/// Where stages look at planes beside the runs: what lies farther away need not be filled.
+/// The columns beside the runs that stages read of a plane. What lies farther away need not be filled, which saves
+/// memory traffic.
 #[derive(Debug, Default)]
 pub(crate) struct Surroundings {
     /// Columns of the runs of each band; empty where it has none.

@@ -73,7 +73,7 @@ pub(crate) fn chunk<T, const N: usize>(row: &[T], first: usize) -> &[T; N] {
     row[first..].first_chunk().expect("a row with room behind its end")
 }
 
-/// Writes a whole block to a row, as far as that goes: what follows is of no matter, or is written next.
+/// Writes a whole block to a row, or what fits of it. Values beyond the run are unused, or written again later.
 #[inline(always)]
 pub(crate) fn put<T: Copy, const N: usize>(row: &mut [T], first: usize, lanes: &[T; N]) {
     let row = &mut row[first..];
@@ -90,8 +90,8 @@ fn put_end<T: Copy, const N: usize>(row: &mut [T], lanes: &[T; N]) {
     row.copy_from_slice(&lanes[..row.len()]);
 }
 
-/// The same for values that are still to be made. They go where they belong at once: what is written to the stack in
-/// halves would have to be waited for.
+/// The same for values that are computed one by one. They are written to their place directly: loading them from the
+/// stack in other widths than they were stored in would stall the processor.
 #[inline(always)]
 pub(crate) fn put_each<T>(row: &mut [T], first: usize, value: impl Fn(usize) -> T) {
     let row = &mut row[first..];
@@ -106,7 +106,7 @@ pub(crate) fn put_each<T>(row: &mut [T], first: usize, value: impl Fn(usize) -> 
     }
 }
 
-/// Makes a row one of zeros, as many as a row of `width` values and a block behind its end.
+/// Fills a row with zeros: `width` of them, and a block behind its end.
 pub(crate) fn with_room(row: &mut Vec<f32>, width: usize) {
     row.clear();
     row.resize(width + LANES, 0.0);
@@ -184,7 +184,7 @@ pub(crate) fn between(padded: &[f32], first: usize, periods: &Periods, share: f3
         }
         return out;
     }
-    // Each distance in whole pixels gives its two values to those that have it.
+    // For each distance in whole pixels, the pixels with this distance take their two values.
     let (mut before, mut a, mut b) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     for (before, &period) in before.iter_mut().zip(&periods.lanes) {
         *before = pixel_before(distance(period, share, more));
@@ -220,7 +220,7 @@ impl Light {
         reserve(&mut self.steps, width);
     }
 
-    /// Takes the light of a run that begins at `first`. What lies beside it is any.
+    /// Takes the light of a run that begins at `first`. Values beside the run stay undefined.
     #[inline(always)]
     pub(crate) fn set(&mut self, first: usize, pixels: &[u8]) {
         let n = pixels.len();

@@ -2,7 +2,7 @@
 //! Marker map Mm and the shift from Um to Fm (paper, Equation 5, Figure 9).
 
 use super::mask::largest_segment;
-use super::one_if;
+use super::planes::one_if;
 use crate::base::image::{Mono8, Plane};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Object mask Om (paper, Figure 6): Otsu's threshold, dilation and erosion, the largest segment.
 
-use super::{box_sum, one_if};
+use super::planes::{box_sum, one_if};
 use crate::base::image::{Mono8, Plane};
 use crate::kernels::connected_components::{self, Piece};
 use crate::kernels::pixel_runs::Runs;

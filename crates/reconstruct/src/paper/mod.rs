@@ -9,6 +9,7 @@ pub(crate) mod marker;
 pub(crate) mod mask;
 pub(crate) mod period;
 pub(crate) mod phase;
+mod planes;
 pub(crate) mod quality;
 pub(crate) mod unwrap;
 
@@ -89,17 +90,4 @@ pub(super) fn reconstruct(
     planes.push(("Fm", fm));
     let maps = keep_maps.then_some(Maps { roi, frame: (width, height), planes });
     Reconstruction { cloud, phase, outcome, counts, regions: Regions::default(), stages: clock.0, maps }
-}
-
-/// 1 where it is so, else 0.
-fn one_if(is: bool) -> f32 {
-    f32::from(u8::from(is))
-}
-
-/// Sum over the box of `columns` and `rows` to each side of every pixel, as far as the plane goes.
-fn box_sum(plane: &Plane<f32>, columns: usize, rows: usize) -> Plane<f32> {
-    let (w, h) = (plane.width(), plane.height());
-    let around = |x: usize, reach: usize, end: usize| x.saturating_sub(reach)..(x + reach + 1).min(end);
-    let along = Plane::from_fn(w, h, |u, v| plane.row(v)[around(u, columns, w)].iter().sum::<f32>());
-    Plane::from_fn(w, h, |u, v| around(v, rows, h).map(|v| along.at(u, v)).sum::<f32>())
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Fringe period Pm, amplitude Am and period stability Sm (paper, Figure 7a to c).
 
-use super::{box_sum, one_if};
+use super::planes::{box_sum, one_if};
 use crate::base::image::{Mono8, Plane};
 use crate::phase::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS, WINDOW_PERIODS};
 use std::ops::Range;

@@ -105,12 +105,6 @@ impl Gains {
     }
 }
 
-impl Default for Gains {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 const ROOT3: f32 = 1.732_050_8;
 
 /// Seven samples as their middle, and the sums and differences of those at equal distances, from the nearest on.

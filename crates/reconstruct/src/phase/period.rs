@@ -2,10 +2,10 @@
 //! The fringe period Pm of the default method: the paper's count of crossings, found once for a run.
 //!
 //! The paper's window has a median of its own for each pixel, so that crossings are sought anew in each
-//! ([`crate::paper::period`]). Here the threshold is a sliding mean: a sine less its sliding mean is a sine of
-//! the same period, so that the distance of crossings of equal direction is unbiased where the period does not change,
-//! and one list of crossings serves all windows of a run. Which of them lie in a window changes a few times in a
-//! period, so that the figure is that of whole stretches of pixels. All sums are whole numbers.
+//! ([`crate::paper::period`]). Here the threshold is a sliding mean: a sine less its sliding mean is a sine of the
+//! same period, so that the distance of crossings of equal direction is unbiased where the period does not change, and
+//! one list of crossings serves all windows of a run. The crossings in a window change a few times in a period only,
+//! so that whole stretches of pixels have the same period. All sums are whole numbers.
 
 use crate::base::image::{Mono8, Plane};
 use crate::kernels::bit_rows::{WORD, bits_of};
@@ -41,30 +41,30 @@ const COUNT_BITS: u32 = 8;
 /// Rows that [`measure`] uses again from frame to frame.
 #[derive(Debug, Default)]
 pub struct Buffers {
-    /// Largest and smallest value from each pixel on, and what they are made from.
+    /// Largest and smallest value of the window that begins at each pixel; each with memory to compute it.
     high: [Vec<u8>; 2],
     low: [Vec<u8>; 2],
     /// Sums of the run's pixels before each.
     sums: Vec<u32>,
-    /// 1 above the threshold; above it, and below it, by more than the margin.
+    /// Bits [`ABOVE`] and [`FAR`] of each pixel.
     sides: Vec<u8>,
     /// How far each pixel is above its threshold, times the length of the window that this is taken from.
     beyond: Vec<f32>,
-    /// Those of a run, after and before [`NONE_BEFORE`] that are none.
+    /// The crossings of a run, between [`NONE_BEFORE`] placeholders on either side.
     crossings: Vec<Crossing>,
-    /// Of each place where a window begins the first crossings in it; of each where one ends the last.
+    /// The first two crossings of the window that begins at each place; the last two of the window that ends there.
     after: Beside,
     before: Beside,
-    /// Distances and their count, of the last rows, with zeros to either side.
+    /// Distances of crossings and their count, for the last three rows, with zeros to either side.
     raw: Vec<Vec<u32>>,
-    /// Sums of these over three rows, and of two and four neighbours of those.
+    /// Sums of `raw` over three rows, and of these over two and four neighbours.
     sums_of_rows: Vec<u32>,
     pairs: Vec<u32>,
     fours: Vec<u32>,
 }
 
-/// Entries of a list of crossings that are none, before the first and behind the last, so that all have two neighbours
-/// to each side.
+/// Placeholders in a list of crossings, before the first and behind the last, so that all have two neighbours on each
+/// side.
 const NONE_BEFORE: usize = 2;
 
 /// Where the light crosses the threshold.
@@ -74,12 +74,12 @@ struct Crossing {
     at: f32,
     /// The first whole column behind it.
     behind: u32,
-    /// Column in the run where it was certain.
+    /// The column in the run at which the light had left the threshold by the margin.
     certain: u32,
 }
 
-/// Period of each pixel of the runs, px, the mean of those around it; 0 where it is unknown and in what is around the
-/// runs. Windows never leave these.
+/// Measures the period of each pixel of the runs, px, as the mean of those around it; 0 where it is unknown and around
+/// the runs. Windows never leave a run.
 pub(crate) fn measure(
     image: Mono8<'_>,
     (runs, around): (&Runs, &Surroundings),
@@ -106,7 +106,7 @@ pub(crate) fn measure(
                     raw.fill(0);
                 } else {
                     let row = &mut raw[SMOOTH_COLUMNS..SMOOTH_COLUMNS + w];
-                    // What it holds is of a row that was there before.
+                    // The ring still holds the row that was there before.
                     let before = v.checked_sub(RING).map(|v| runs.row(v)).unwrap_or_default();
                     before.iter().for_each(|run| row[run.columns()].fill(0));
                     for run in runs.row(v) {
@@ -149,8 +149,7 @@ fn measure_run(row: &[u8], half: usize, reach: usize, buffers: &mut Buffers, raw
     raw[from + windows..].fill(last);
 }
 
-/// For each place of a run, how many crossings lie before it, and where two neighbouring ones are, which are those
-/// next to it on one side.
+/// For each place of a run, how many crossings lie before it, and where the two crossings next to it on one side are.
 #[derive(Debug, Default)]
 struct Beside {
     count: Vec<f32>,
@@ -161,8 +160,8 @@ struct Beside {
 const BLOCK: usize = 8;
 
 impl Beside {
-    /// `from` which place on a crossing lies before it. `skip`: the number in the list of the first of the two of a
-    /// place that has none before it.
+    /// Fills the tables for `places` places. A crossing counts as before a place from the place `from` on. `skip` is
+    /// the number in the list of the first of the two crossings of a place that has none before it.
     #[inline(always)]
     fn spread(
         &mut self,
@@ -181,7 +180,7 @@ impl Beside {
         for (next, two) in crossings[NONE_BEFORE..].iter().zip(crossings[skip..].windows(2)) {
             let end = (from(next) as usize).min(places);
             while place < end {
-                // What is beyond is written next.
+                // Places beyond `end` are written again by the next crossing.
                 block(count, place, passed);
                 block(left, place, two[0].at);
                 block(right, place, two[1].at);
@@ -192,7 +191,7 @@ impl Beside {
     }
 }
 
-/// Writes a value to the places from one on, a block of them.
+/// Writes a value to a block of places that begins at `place`.
 #[inline(always)]
 fn block(row: &mut [f32], place: usize, value: f32) {
     if let Some(block) = row[place..].first_chunk_mut::<BLOCK>() {
@@ -232,7 +231,7 @@ struct LightWindow {
     length: usize,
 }
 
-/// Sums of the row's pixels before each.
+/// Computes the sum of the row's pixels before each pixel.
 #[inline(always)]
 fn add_up(row: &[u8], sums: &mut Vec<u32>) {
     sums.resize(row.len() + 1, 0);
@@ -259,7 +258,7 @@ fn side(light: u8, length: i32, sum: u32, range: u8) -> (u8, f32) {
     ((if value > 0.0 { ABOVE } else { 0 }) | if value.abs() > margin { FAR } else { 0 }, value)
 }
 
-/// The sides of a run's pixels.
+/// Finds on which side of its threshold each pixel of a run is.
 #[inline(always)]
 fn find_sides(row: &[u8], LightWindow { reach, length }: LightWindow, buffers: &mut Buffers) {
     let Buffers { high, low, sums, sides, beyond, .. } = buffers;
@@ -306,7 +305,7 @@ fn find_crossings(pixels: usize, buffers: &mut Buffers) {
         let changes = above ^ (above << 1 | before);
         before = above >> (WORD - 1);
         let last = |changes: u64| k * WORD + changes.ilog2() as usize;
-        // From here on where it is certain, below and above.
+        // Pixels of this word at which the light is far below and far above the threshold.
         let mut far = [far & !above, far & above];
         let first = (far[0] | far[1]).trailing_zeros();
         let mut side = settled.unwrap_or_else(|| usize::from(far[1].trailing_zeros() == first));
@@ -326,7 +325,7 @@ fn find_crossings(pixels: usize, buffers: &mut Buffers) {
         settled = if first < u64::BITS { Some(side) } else { settled };
         changed = if changes == 0 { changed } else { last(changes) };
     }
-    // What no window reaches.
+    // Placeholders that no window reaches.
     crossings.extend([Crossing { at: 0.0, behind: u32::MAX, certain: u32::MAX - 1 }; NONE_BEFORE]);
 }
 

@@ -141,16 +141,17 @@ pub fn refine(
 /// Adds the columns of a run, which begins at `start`, whose phase is known and doubtful.
 #[inline(always)]
 fn list_doubtful((phase, misfit, zone): (&[f32], &[f32], &[u8]), start: usize, list: &mut Vec<usize>) {
-    const LANES: usize = 64;
-    let parts = phase.chunks(LANES).zip(misfit.chunks(LANES)).zip(zone.chunks(LANES));
-    let mut doubtful = [0u8; LANES];
+    /// Pixels that are searched at once.
+    const SEARCHED: usize = 64;
+    let parts = phase.chunks(SEARCHED).zip(misfit.chunks(SEARCHED)).zip(zone.chunks(SEARCHED));
+    let mut doubtful = [0u8; SEARCHED];
     for (part, ((phase, misfit), zone)) in parts.enumerate() {
         let count = phase.len();
         let bytes = doubtful[..count].iter_mut().zip(phase).zip(misfit).zip(zone);
         for (((doubtful, phase), &misfit), &zone) in bytes {
             *doubtful = u8::from(!phase.is_nan() & (misfit >= DOUBTFUL_MISFIT) & (zone == 0));
         }
-        each_not_0(&doubtful[..count], |i| list.push(start + part * LANES + i));
+        each_not_0(&doubtful[..count], |i| list.push(start + part * SEARCHED + i));
     }
 }
 

@@ -117,7 +117,7 @@ impl RingRow {
         Self { points: [none(), none(), none()], metres_per_rad: none(), written: 0..0 }
     }
 
-    /// What is written next: what was before becomes NaN, but for what is written again.
+    /// Prepares the row for new points in the columns `written`: older points outside of these become NaN.
     #[inline(always)]
     fn begin(&mut self, written: Range<usize>) {
         let Range { start, end } = self.written;
@@ -322,7 +322,7 @@ impl RunNormals {
             self.put(&oriented, offset);
             let known = BELOW[LANES.min(count - offset)];
             if (u128::from_le_bytes(oriented.good) ^ ALL) & known != 0 {
-                // From the beginning, so that nothing has to be kept for it everywhere else.
+                // Computed anew, so that the first pass need not keep values for this rare case.
                 self.put(&orient::<true>(rows, black_box(place + offset), table), offset);
             }
         }
@@ -362,8 +362,10 @@ fn append(to: &mut Vec<[f32; 3]>, [x, y, z]: [&[f32]; 3]) {
     to.extend(x.iter().zip(y).zip(z).map(|((&x, &y), &z)| [x, y, z]));
 }
 
-/// A byte for each of a block's points: all of them good, and all bits of those below a number.
+/// The bytes of a block whose points are all good.
 const ALL: u128 = u128::MAX / 255;
+
+/// For each number of points, all bits of as many bytes.
 const BELOW: [u128; LANES + 1] = {
     let mut below = [0; LANES + 1];
     let mut count = 1;
