@@ -201,6 +201,7 @@ impl Graph {
             }
             let lowest = least(&own);
             cost[LABELS / 2..LABELS / 2 + LABELS].copy_from_slice(&own);
+            /// The largest number of turns between the labels of two patches that a link may have.
             const HALF: i32 = LABELS as i32 / 2;
             let turns = (if is_a { link.turns } else { -link.turns }).clamp(-HALF, HALF);
             let from = &cost[(HALF - turns) as usize..][..LABELS];
@@ -230,6 +231,7 @@ fn add(to: &mut Costs, from: &Costs) {
 /// The least of all costs.
 #[inline(always)]
 fn least(costs: &Costs) -> i16 {
+    /// Costs that are compared at once.
     const LANES: usize = 16;
     let mut lanes = [i16::MAX; LANES];
     for costs in costs.as_chunks::<LANES>().0 {

@@ -175,6 +175,7 @@ impl Surface<'_> {
 fn meeting([a, b]: [Plane; 2], across: usize) -> (i32, f32) {
     // Half way between the last pixel of one cell and the first of the other, in the middle of the border.
     const MIDDLE: f32 = (CELL_PX - 1) as f32 / 2.0;
+    /// From a cell's first pixel to the border behind its last one, px.
     const EDGE: f32 = CELL_PX as f32 - 0.5;
     let at = |plane: &Plane, border: f32| {
         let other = plane.steps[1 - across];
@@ -190,7 +191,8 @@ fn meeting([a, b]: [Plane; 2], across: usize) -> (i32, f32) {
     (turns as i32, PLANES * likelier.ln())
 }
 
-/// How much likelier a step is on one surface, by a Cauchy distribution of that scale, than between two, which is any.
+/// How much likelier a step is on one surface than between two: a Cauchy distribution of that scale against a uniform
+/// one.
 #[inline(always)]
 fn likelier(step: f32, scale: f32) -> f32 {
     2.0 * scale / (scale * scale + step * step)

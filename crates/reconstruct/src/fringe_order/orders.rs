@@ -36,7 +36,8 @@ impl Regions {
 #[derive(Debug, Default)]
 pub struct Orders {
     pub(super) patches: Patches,
-    /// What to add to the phases of each patch, rad; NaN where there is no order, and for all patches before [`super::solve`].
+    /// What to add to the phases of each patch, rad; NaN where there is no order, and for all patches before
+    /// [`super::solve`].
     pub(super) shift: Vec<f32>,
 }
 

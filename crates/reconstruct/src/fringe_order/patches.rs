@@ -434,6 +434,7 @@ fn mean(mask: u64, values: &Block) -> f32 {
 /// The plane of a cell that one patch fills.
 #[inline(always)]
 fn plane(phase: &Block) -> lookup::Plane {
+    /// Rows and columns of half a cell, px.
     const HALF: usize = CELL_PX / 2;
     let mut halves = [[0f32; CELL_PX]; 2];
     for (v, row) in phase.iter().enumerate() {

@@ -6,7 +6,7 @@ use std::ops::Range;
 /// Pixels in a machine word: one bit each.
 pub(crate) const WORD: usize = u64::BITS as usize;
 
-/// A bit for each place where it is so.
+/// A bit for each place for which `is` holds.
 #[inline(always)]
 pub(crate) fn bits_where(is: impl Fn(usize) -> bool) -> u64 {
     let mut marks = [0u8; WORD];

@@ -47,7 +47,7 @@ pub(crate) struct Planes<T> {
 }
 
 impl<T: Copy + Default> Planes<T> {
-    /// A plane for a stage that writes every value: those that it holds are any.
+    /// A plane for a stage that writes every value: its values are undefined.
     pub(crate) fn take(&self, width: usize, height: usize) -> Plane<T> {
         let mut plane = self.pool.take();
         plane.reserve(self.room.load(Ordering::Relaxed).max(width * height), T::default());

@@ -175,7 +175,10 @@ pub struct Bias {
 }
 
 impl Bias {
+    /// How far from the marker the table goes, rad of phase: the formula's window is one fringe wide.
     const REACH: f32 = 1.5 * TAU;
+
+    /// Steps of the table: 1/512 of a fringe each.
     const STEPS: usize = 1536;
 
     /// The table for a pattern.

@@ -177,7 +177,7 @@ fn part(lit: &Runs, image: Mono8<'_>, row: &mut Vec<u8>, object: &mut Runs) {
 /// Adds a run, which has these `pixels`, without those that are over-exposed.
 #[inline(always)]
 fn part_saturated(run: Run, pixels: &[u8], row: &mut Vec<u8>, object: &mut Runs) {
-    // Few runs have any.
+    // Few runs have over-exposed pixels.
     let mut most = 0;
     for &x in pixels {
         most = most.max(x);

@@ -78,6 +78,7 @@ impl Gains {
     /// Where the factors of a period are.
     #[inline(always)]
     fn place(period: f32) -> u32 {
+        /// The entry of the longest period.
         const LAST: f32 = GAIN_MAX_PX * GAINS_PER_PX;
         let at = period * GAINS_PER_PX;
         whole(if at < LAST { at } else { LAST }) as u32
@@ -105,6 +106,7 @@ impl Gains {
     }
 }
 
+/// The square root of 3.
 const ROOT3: f32 = 1.732_050_8;
 
 /// Seven samples as their middle, and the sums and differences of those at equal distances, from the nearest on.

@@ -167,8 +167,10 @@ pub fn own_error(misfit: f32, amplitude: f32) -> f32 {
 const LANES: usize = 8;
 type Lanes = [f32; LANES];
 
-/// Columns and rows that a plane is laid through.
+/// Columns that a plane is laid through.
 const COLUMNS: usize = 2 * REACH.0 / COLUMN_STEP + 1;
+
+/// Rows that a plane is laid through.
 const ROWS: usize = 2 * REACH.1 + 1;
 
 /// Room beside the rows of support: the reach, and lanes beyond the row's end.
@@ -183,6 +185,8 @@ struct Laid {
 
 /// Good phases around a block: those within reach of its pixels, row by row.
 type Around<'a> = [&'a [f32; SPAN]; ROWS];
+
+/// Columns within reach of a block's pixels.
 const SPAN: usize = 2 * REACH.0 + LANES;
 
 /// What lies around the block that begins at column u. (None in a row that is too short, which there is not.)
