@@ -101,7 +101,7 @@ impl Average {
     pub(crate) fn block(&self, ring: &Ring<'_>, v: usize, first: usize) -> [Lanes; 2] {
         let half = self.reach();
         let tilt = tilt(ring, v, half, first);
-        // What turns a phasor back by the tilt of one row, and what turns that of the first row.
+        // The rotation that takes the tilt out of the first row; each further row turns it back by one tilt.
         let (mut turn_c, mut turn_s): (Lanes, Lanes) = ([1.0; LANES], [0.0; LANES]);
         for _ in 0..half {
             for i in 0..LANES {

@@ -35,11 +35,12 @@ const GAP_ROWS: usize = 2;
 /// shipped panel, which is far more than calibrations are wrong by.
 const MOST_OFFSET: f64 = TAU / 8.0;
 
-/// And within this of where most of the frame's others lie, rad: another camera's wander along the marker.
+/// It also lies within this of the median of the frame's stretches, rad: those of another camera wander along the
+/// marker.
 const MOST_SPREAD: f64 = 0.25;
 
-/// And when what its light has beside offset, slope and dashes is less than this share of the dashes (RMS to
-/// amplitude).
+/// A stretch looks like dashes if the remainder of its light, after offset, slope and dashes, is less than this share
+/// of the dashes (RMS to amplitude).
 const MOST_REMAINDER: f64 = 0.5;
 
 /// Fewest stretches, of those that look like dashes, by which a whole frame is judged.
@@ -97,8 +98,8 @@ pub struct Crossing {
     pub light: f64,
 }
 
-/// Looks at each piece of the marker, and takes their numbers from those that lie elsewhere. `wrapped`, rad, and
-/// `light`, in the steps of [`windows`], are those of the same part `roi` of the frame.
+/// Checks each piece of the marker, and sets the number of those that lie elsewhere to 0. `wrapped`, rad, and `light`,
+/// in steps of `window_quality`, cover the same part `roi` of the frame.
 pub fn check(
     marker: &mut MarkerPieces,
     wrapped: &Plane<f32>,
@@ -154,7 +155,7 @@ pub fn stretches_of(crossings: &[Crossing], period: f64) -> impl Iterator<Item =
     let mut first = 0;
     std::iter::from_fn(move || {
         for next in first + 1..crossings.len() {
-            // Upwards, too: the next marker begins.
+            // Rows that go back, too: there the next marker begins.
             if crossings[next].v.wrapping_sub(crossings[next - 1].v) > 1 + GAP_ROWS {
                 first = next;
             } else if whole(first, next) {

@@ -146,7 +146,7 @@ fn push_where(run: &Run, may: impl Fn(Range<usize>) -> bool, is: impl Fn(usize) 
     for first in run.columns().step_by(LANES) {
         let stretch = first..run.end().min(first + LANES);
         let some = may(stretch.clone());
-        // Of the others the first ends what has begun.
+        // Of a skipped stretch the first pixel is visited: it ends a run that has begun.
         for u in if some { stretch } else { first..first + 1 } {
             match (some && is(u), start) {
                 (true, None) => start = Some(u),
@@ -206,7 +206,7 @@ fn carrier_free_row(image: &[u8], runs: &[Run], period: &[f32], sums: &mut Vec<f
 struct Band {
     /// Weights of the mean, of the cosine and of the sine, at the middle row and at each distance from it.
     taps: Vec<[f32; 3]>,
-    /// What of the mean the cosine lets through.
+    /// The share of the mean that leaks into the cosine's sum.
     leak: f32,
 }
 

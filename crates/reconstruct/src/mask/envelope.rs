@@ -16,13 +16,13 @@ const MOST: usize = WORD - 1;
 /// Rows that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub(crate) struct Above {
-    /// What lies above the level, before it is closed.
+    /// A bit for each pixel above the level, before the closing.
     raw: Vec<u64>,
-    /// What a row of it is widened to.
+    /// A row of these bits after the dilation.
     wide: Vec<u64>,
     /// The last three rows after the closing.
     closed: [Vec<u64>; 3],
-    /// Of three of them, how many ones there are in each column: ones, twos.
+    /// How many of these three bits are set in each column, as a binary number: its ones and its twos.
     count: [Vec<u64>; 2],
 }
 
@@ -49,7 +49,7 @@ impl Above {
             first = first.min(row.iter().position(|&word| word != 0).unwrap_or(all));
             end = end.max(row.iter().rposition(|&word| word != 0).map_or(0, |last| last + 1));
         }
-        // With room for what the closing widens.
+        // One word more on either side, which the closing may set bits of.
         let (first, end) = (first.min(end).saturating_sub(1), (end + 1).min(all));
         let columns = first * WORD..(end * WORD).min(w);
         let (words, width) = (end - first, columns.len());
@@ -101,7 +101,7 @@ fn close(row: &[u64], width: usize, half: u32, wide: &mut [u64], out: &mut [u64]
         return out.fill(0);
     }
     spread(row, half, wide);
-    // What is not set spreads; nothing does from beyond the ends.
+    // Erosion: bits that are not set spread, but not from beyond the ends.
     complement(wide, width);
     spread(wide, half, out);
     complement(out, width);
@@ -177,7 +177,7 @@ fn median3x3([above, own, below]: [&[u64]; 3], width: usize, count: &mut [Vec<u6
         let ((a, b, c), (d, e, f)) = (beside(ones, i), beside(twos, i));
         let (one, two) = sum(a, b, c);
         let (other_two, four) = sum(d, e, f);
-        // Six and more, or four and one more.
+        // Five and more of nine.
         *out = four & (two | other_two) | one & (four | two & other_two);
     }
     let (last, bit) = ((width - 1) / WORD, 1 << ((width - 1) % WORD));

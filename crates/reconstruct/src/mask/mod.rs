@@ -124,7 +124,8 @@ fn log_threshold(envelope: &Plane<u8>) -> u8 {
     }
     let level = otsu_level(&logarithmic);
     let from_otsu = (0..256).rev().find(|&value| bin(value) <= level).unwrap_or(0) as u8;
-    // The most frequent level of the darker class: that of the whole frame is the object's where it fills the frame.
+    // The most frequent level of the darker class. That of the whole frame would be the object's where it fills the
+    // frame.
     let black = (0..=usize::from(from_otsu)).max_by_key(|&i| (counts[i], 256 - i)).unwrap_or(0) as u8;
     from_otsu.clamp(black.saturating_add(MIN_ABOVE_BLACK_DN), black.saturating_add(MAX_ABOVE_BLACK_DN))
 }

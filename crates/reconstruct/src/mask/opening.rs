@@ -10,8 +10,8 @@ use std::ops::Range;
 const HALF: usize = 2;
 
 /// The runs of a plane of bits of these columns of `height` rows, each row of as many words as it needs, after erosion
-/// and dilation by a square; outside of the plane its outermost pixels repeat. What is left of the bits is any, and
-/// `wide` is memory to use.
+/// and dilation by a square; outside of the plane its outermost pixels repeat. The bits are overwritten, and `wide` is
+/// memory to use.
 #[inline(always)]
 pub(crate) fn runs(
     bits: &mut [u64],
@@ -22,7 +22,7 @@ pub(crate) fn runs(
 ) {
     let words = columns.len().div_ceil(WORD).max(1);
     wide.resize(words * height, 0);
-    // Erosion: what is not set spreads.
+    // Erosion: bits that are not set spread.
     for row in bits.chunks_exact_mut(words) {
         complement(row, columns.len());
     }

@@ -189,7 +189,7 @@ type Around<'a> = [&'a [f32; SPAN]; ROWS];
 /// Columns within reach of a block's pixels.
 const SPAN: usize = 2 * REACH.0 + LANES;
 
-/// What lies around the block that begins at column u. (None in a row that is too short, which there is not.)
+/// The good phases around the block that begins at column u. All rows are long enough for it.
 #[inline(always)]
 fn around<'a>(good: &[&'a [f32]; ROWS], u: usize) -> Around<'a> {
     let mut around = [&[f32::NAN; SPAN]; ROWS];
@@ -259,13 +259,13 @@ impl Sums {
             for i in 0..LANES {
                 along[i] = carrier[i] * x;
             }
-            // Of the column alone, in which x is the same.
+            // Sums of this column alone, in which x is the same.
             let [mut counts, mut z1, mut yz] = [[0f32; LANES]; 3];
             for ((row, good), count) in around.iter().enumerate().zip(COUNTS) {
                 let y = row as f32 - REACH.1 as f32;
                 for i in 0..LANES {
                     let z = good[place + i] - phase[i] - along[i];
-                    // Not so for NaN.
+                    // False for NaN.
                     let same = if z.abs() < SAME_SURFACE { u32::MAX } else { 0 };
                     let z = f32::from_bits(z.to_bits() & same);
                     counts[i] += f32::from_bits(count.to_bits() & same);

@@ -96,7 +96,7 @@ fn correct_run(
         let (strength, period) = (subpixel::load(strength, first), subpixel::load(period, first));
         let (above, below) = (subpixel::load(above, first + PAD), subpixel::load(below, first + PAD));
         let marked = subpixel::load(zone, first);
-        // The slope along the row has no part in a difference to both sides: whole columns do.
+        // A second difference does not contain the slope, so that distances in whole columns suffice.
         let k = all_columns(&period, count);
         let Beside { before, behind, share } = beside(row, first + PAD, &k, 1);
         let (mut wide, mut bias) = ([0f32; LANES], [0f32; LANES]);
@@ -191,7 +191,7 @@ fn all_columns(period: &Lanes, count: usize) -> [u32; LANES] {
 /// A period in whole columns.
 #[inline(always)]
 fn columns(period: f32) -> i32 {
-    // Not 0 for NaN or nothing, either.
+    // At least 1, also for NaN and for an unknown period.
     let period = if period > 1.0 { period } else { 1.0 };
     let period = if period < PAD as f32 { period } else { PAD as f32 };
     whole(period)
@@ -222,7 +222,7 @@ fn bends_beside(row: &[f32], first: usize, phase: &Lanes, period: &Lanes, count:
     bends
 }
 
-/// `x` nearer to 0 by `noise`.
+/// `x` moved towards 0 by `noise`, but not beyond.
 #[inline(always)]
 fn shrunk(x: f32, noise: f32) -> f32 {
     (x.abs() - noise).max(0.0).copysign(x)

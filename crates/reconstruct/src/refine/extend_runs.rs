@@ -72,10 +72,10 @@ const PHASE_CHANGE: f32 = 0.5;
 pub(crate) struct Input<'a> {
     pub image: &'a Plane<u8>,
     pub runs: &'a Runs,
-    /// Around the marker: not 0. Nothing is done there.
+    /// Not 0 around the marker, where no phase is changed.
     pub zone: &'a Plane<u8>,
     pub gains: &'a Gains,
-    /// That of the phase along the columns.
+    /// Sign of the phase along the columns.
     pub sign: f32,
 }
 
@@ -119,7 +119,7 @@ fn prefetch_ends(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, pe
     }
     for run in input.runs.row(v) {
         let (start, last) = (run.start(), run.end() - 1);
-        // Up to a cache line further in: there may be two of them.
+        // The pixels at an end may lie in two cache lines.
         for u in [start, last, (start + END_PX).min(last), last.saturating_sub(END_PX).max(start)] {
             prefetch::value(windows.strength.row(v), u);
             prefetch::value(windows.light.row(v), u);
@@ -132,7 +132,7 @@ fn prefetch_ends(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, pe
     }
 }
 
-/// One row of what is read and written.
+/// One row of all planes that are read and written.
 struct Row<'a> {
     absolute: &'a mut [f32],
     strength: &'a mut [u16],
@@ -147,7 +147,7 @@ struct Row<'a> {
 
 /// What demodulation gives for a pixel.
 struct Found {
-    /// By whole turns nearest to what is expected.
+    /// The phase, rad, by whole turns nearest to the expected one.
     phase: f32,
     misfit: f32,
     strength: u16,
@@ -162,14 +162,14 @@ impl Row<'_> {
     #[inline(always)]
     fn complete(&mut self, runs: &[Run]) -> usize {
         let mut added = 0;
-        // An end at a spot stays as it is.
+        // Nothing is done at an end beside a spot.
         let mut spot_before = false;
         for (i, run) in runs.iter().enumerate() {
             let spot_behind = runs.get(i + 1).is_some_and(|next| self.is_spot(run, next));
             let columns = run.columns();
             let end = columns.len().min(END_PX);
             let before = (spot_before, -1, columns.start..columns.start + end);
-            // Not twice in short runs.
+            // In a short run the two ends must not overlap.
             let behind = (spot_behind, 1, (columns.end - end).max(columns.start + end)..columns.end);
             for (spot, step, part) in [before, behind] {
                 if !spot {
@@ -194,7 +194,7 @@ impl Row<'_> {
         };
         let way = self.sign * TAU * (b - a) as f32 * 2.0 / (self.period[a] + self.period[b]);
         let off = self.absolute[b] - self.absolute[a] - way;
-        // Not where that is no number.
+        // Also where the difference is NaN.
         !(off.abs() > SPOT_RAD + SPOT_SHARE * way.abs())
     }
 
@@ -218,7 +218,7 @@ impl Row<'_> {
             let (period, expected) = (TAU / course.slope(distance).abs(), course.phase(distance));
             let Some(found) = self.demodulate(columns, u, period, expected) else { return done };
             let beyond = period / 2.0 > to_end(columns, u) as f32;
-            // NaN where there is none.
+            // False where there is no phase.
             let agrees =
                 (found.phase - expected).abs() <= MAX_STEP && !(beyond && found.misfit > BEYOND_MISFIT);
             if !agrees || zone != 0 {
@@ -233,12 +233,12 @@ impl Row<'_> {
     #[inline(always)]
     fn improve(&mut self, columns: &Range<usize>, part: Range<usize>) {
         let mut better: [Option<(f32, Found)>; END_PX] = [const { None }; END_PX];
-        // All of them before any is changed.
+        // All pixels are demodulated before any is changed.
         for (better, u) in better.iter_mut().zip(part.clone()) {
             let (before, misfit) = (self.absolute[u], self.misfit[u]);
             let is_doubtful = misfit >= DOUBTFUL_MISFIT && !before.is_nan() && self.zone[u] == 0;
             let period = if is_doubtful { TAU / self.slope(columns, u).abs() } else { f32::NAN };
-            // Not so where there is no slope.
+            // False where there is no slope.
             let is_near = (period / self.period[u] - 1.0).abs() <= PERIOD_CHANGE;
             if !is_near {
                 continue;

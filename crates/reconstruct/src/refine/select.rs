@@ -23,7 +23,7 @@ const MAX_MISFIT: f32 = 0.6;
 /// Rows of marks around the row that is worked on.
 #[derive(Debug, Default)]
 struct Buffers {
-    /// 1 near a step, of three rows.
+    /// 1 near a step, for three rows.
     near: [Vec<u8>; 3],
     /// 1 where the step to the row below is one between surfaces.
     down: Vec<u8>,
@@ -86,12 +86,12 @@ impl Buffers {
         let (row, p) = (&row[run.columns()][..n], &period[run.columns()][..n]);
         let (right, beside) = (&mut self.right[..n], &mut self.beside[..n]);
         for i in 0..n - 1 {
-            // The carrier is a turn in two periods' mean; times these, because a quotient is slow.
+            // The carrier's step is a turn per mean period. Both sides are multiplied by the periods: division is slow.
             let both = p[i] + p[i + 1];
             right[i] = u8::from(((row[i + 1] - row[i]) * both - sign * 2.0 * TAU).abs() > STEP_RAD * both);
         }
         right[n - 1] = 0;
-        // From the row above; only known phases have steps, so that those of other runs are 0.
+        // Steps from the row above. Unknown phases have no step, so that pixels beside other runs are 0.
         let down = &mut self.down[run.columns()][..n];
         beside.copy_from_slice(down);
         match below {
@@ -109,7 +109,7 @@ impl Buffers {
         for i in 1..n {
             beside[i] |= right[i - 1];
         }
-        // What is marked so far, of which the row's next may be a part.
+        // The stretch that is marked next; the marks of neighbouring pixels overlap and are joined.
         let (mut first, mut end) = (0, 0);
         let near = &mut self.near;
         let mut fill = |first: usize, end: usize| {
@@ -132,7 +132,7 @@ impl Buffers {
     }
 }
 
-/// Drops the pixels of a run that are not good; returns how many.
+/// Drops the pixels of a run that are faint, unlike a fringe or near a step; returns how many.
 #[inline(always)]
 fn drop_from(phase: &mut [f32], (strength, misfit, near): (&[u16], &[f32], &[u8])) -> usize {
     let n = phase.len();

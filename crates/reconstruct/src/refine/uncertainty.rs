@@ -136,8 +136,8 @@ fn averaged_rows(windows: &Windows) -> Plane<u8> {
     rows
 }
 
-/// By light: variance of one row's phase, rad^2, and usual mean square of the misfit, both times the square of the
-/// amplitude.
+/// For each class of light: the variance of one row's phase, rad^2, and the usual mean square of the misfit, both times
+/// the square of the amplitude.
 struct Noise([[f32; 2]; CLASSES]);
 
 type Counts = [[u32; BINS]; CLASSES];
@@ -156,9 +156,9 @@ impl Noise {
                 let difference: f32 = WEIGHTS.iter().zip(phases).map(|(w, phase)| w * phase[u]).sum();
                 let amplitude = window_quality::amplitude(strength[u]);
                 let level = (misfit[u] < GOOD_MISFIT) | (misfit[u] * amplitude < MAX_NOISE_DN);
-                // Not so for NaN.
+                // False for NaN.
                 if (difference.abs() < MAX_DIFFERENCE) & level {
-                    // Of one row, if rows were independent: what it is divided by again.
+                    // Normalized to the noise of one row; `sigma_codes` divides by the number of rows again.
                     let share: f32 = WEIGHTS.iter().zip(counts).map(|(w, n)| w * w / f32::from(n[u])).sum();
                     let power = amplitude * amplitude;
                     let class = class(window_quality::light(light[u]));

@@ -40,7 +40,7 @@ fn lanes(from: &[f32], place: usize) -> Lanes {
 /// The unit normals of some points.
 pub(crate) struct Oriented {
     pub normal: [Lanes; 3],
-    /// 1 where there is a point whose normal is known and that the projector sees from before.
+    /// 1 where there is a point with a normal that does not face away from the projector.
     pub good: [u8; LANES],
 }
 
@@ -72,7 +72,7 @@ pub(crate) fn orient<const NEAR: bool>(rows: &[Row<'_>; 5], place: usize, table:
         let facing = if dot(n, from(table.centre, &centre, i)) > 0.0 { -1.0 } else { 1.0 };
         let scale = facing / length;
         let n = [n[0] * scale, n[1] * scale, n[2] * scale];
-        // Not so where a tangent is missing: it is 0, or NaN.
+        // False where a tangent is missing: then the length is 0 or NaN.
         out.good[i] = u8::from((length > 0.0) & (dot(n, from(table.projector, &centre, i)) < 0.0));
         out.normal[0][i] = n[0];
         out.normal[1][i] = n[1];
@@ -115,7 +115,7 @@ fn differences(
         let c = pick(centre, i);
         let (a, b) = (pick(before, i), pick(after, i));
         let (da, db) = (sub(a, c), sub(b, c));
-        // Not so for NaN.
+        // False for NaN.
         let has_a = dot(da, da) <= limit[i] * squared;
         let has_b = dot(db, db) <= limit[i] * squared;
         for axis in 0..3 {
