@@ -45,13 +45,6 @@ impl Runs {
     /// The runs of a mask of zeros and ones.
     pub fn of(mask: &Plane<u8>) -> Self {
         let mut runs = Self::default();
-        runs.find(mask);
-        runs
-    }
-
-    /// Replaces these by the runs of a mask of zeros and ones.
-    pub fn find(&mut self, mask: &Plane<u8>) {
-        self.clear();
         simd::dispatch(
             #[inline(always)]
             || {
@@ -59,19 +52,21 @@ impl Runs {
                     runs_of(
                         mask.row(v),
                         #[inline(always)]
-                        |first, end| self.push(Run::new(first, end)),
+                        |first, end| runs.push(Run::new(first, end)),
                     );
-                    self.end_row();
+                    runs.end_row();
                 }
             },
         );
+        runs
     }
 
     /// Writes the mask of zeros and ones that has these runs, of as many rows.
     pub fn paint(&self, mask: &mut Plane<u8>) {
         for v in 0..self.height() {
             let row = mask.row_mut(v);
-            fill_beside(self.row(v), row, 0);
+            let all = 0..row.len();
+            fill_around(self.row(v), row, all, 0);
             self.row(v).iter().for_each(|run| row[run.columns()].fill(1));
         }
     }
@@ -136,13 +131,6 @@ impl Runs {
     pub fn span_of(&self, rows: Range<usize>) -> Range<usize> {
         rows.map(|v| self.span(v)).fold(0..0, |all, row| joined(&all, &row))
     }
-}
-
-/// Fills what lies beside the runs of a row.
-#[inline(always)]
-pub(crate) fn fill_beside<T: Copy>(runs: &[Run], row: &mut [T], value: T) {
-    let all = 0..row.len();
-    fill_around(runs, row, all, value);
 }
 
 /// Fills what lies beside the runs of a row in some columns, and between them.

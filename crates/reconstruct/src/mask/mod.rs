@@ -167,33 +167,20 @@ fn part(lit: &Runs, image: Mono8<'_>, row: &mut Vec<u8>, object: &mut Runs) {
         || {
             for v in 0..lit.height() {
                 for run in lit.row(v) {
-                    part_saturated(*run, &image.row(v)[run.columns()], row, object);
+                    let pixels = &image.row(v)[run.columns()];
+                    row.resize(pixels.len(), 0);
+                    for (good, &x) in row.iter_mut().zip(pixels) {
+                        *good = u8::from(x < SATURATED);
+                    }
+                    pixel_runs::runs_of(
+                        row,
+                        #[inline(always)]
+                        |first, end| object.push(Run::new(run.start() + first, run.start() + end)),
+                    );
                 }
                 object.end_row();
             }
         },
-    );
-}
-
-/// Adds a run, which has these `pixels`, without those that are over-exposed.
-#[inline(always)]
-fn part_saturated(run: Run, pixels: &[u8], row: &mut Vec<u8>, object: &mut Runs) {
-    // Few runs have over-exposed pixels.
-    let mut most = 0;
-    for &x in pixels {
-        most = most.max(x);
-    }
-    if most < SATURATED {
-        return object.push(run);
-    }
-    row.resize(pixels.len(), 0);
-    for (good, &x) in row.iter_mut().zip(pixels) {
-        *good = u8::from(x < SATURATED);
-    }
-    pixel_runs::runs_of(
-        row,
-        #[inline(always)]
-        |first, end| object.push(Run::new(run.start() + first, run.start() + end)),
     );
 }
 
