@@ -22,7 +22,7 @@ use std::time::Duration;
 pub struct UnwrappedFrame {
     /// Where the object is; all planes cover this part of the frame.
     pub roi: Roi,
-    /// Phase, rad, absolute but for [`UnwrappedFrame::orders`]; NaN where it is not known. Far beside the runs it is
+    /// Phase, rad, absolute but for the orders of its patches; NaN where it is not known. Far beside the runs it is
     /// any number.
     pub absolute: Plane<f32>,
     /// Lines of sight of the camera.

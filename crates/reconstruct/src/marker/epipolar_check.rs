@@ -100,7 +100,7 @@ pub struct Crossing {
 
 /// Checks each piece of the marker, and sets the number of those that lie elsewhere to 0. `wrapped`, rad, and `light`,
 /// in steps of `window_quality`, cover the same part `roi` of the frame.
-pub fn check(
+pub(crate) fn check(
     marker: &mut MarkerPieces,
     wrapped: &Plane<f32>,
     light: &Plane<u16>,
@@ -146,7 +146,7 @@ pub fn check(
     all
 }
 
-/// Cuts the crossings of a piece, by rising image row, into stretches of [`STRETCH`] periods; what is left over at the
+/// Cuts the crossings of a piece, by rising image row, into stretches of two periods; what is left over at the
 /// end of each is dropped.
 pub fn stretches_of(crossings: &[Crossing], period: f64) -> impl Iterator<Item = &[Crossing]> {
     let whole = move |first: usize, next: usize| {

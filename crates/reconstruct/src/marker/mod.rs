@@ -6,7 +6,7 @@
 //! along the column at the marker's period and divided by the light. The marker then is a ridge one fringe
 //! wide: its energy must stand out of that 1.25 periods to either side, where edges and hems do not. Its core
 //! pixels (|W| < pi/2) are separated from those of the next fringe, so that a connected component follows ONE
-//! fringe by construction; it must be at least [`MIN_DASHES`] dashes long.
+//! fringe by construction; it must be at least `MIN_DASHES` dashes long.
 
 pub(crate) mod bias;
 pub mod epipolar_check;
@@ -44,7 +44,7 @@ const BAND_LANES: usize = 16;
 
 /// What [`ridges`] uses again from frame to frame.
 #[derive(Debug, Default)]
-pub struct Buffers {
+pub(crate) struct Buffers {
     /// Light without the carrier, of as many rows as the band pass has taps, one behind the other.
     light: Vec<f32>,
     energy: Vec<f32>,
@@ -54,7 +54,7 @@ pub struct Buffers {
 
 /// Finds where the light has the marker's modulation along the column, in ridges that are long enough: their pixels.
 /// `energy`, where it is given, becomes that modulation relative to the local light, NaN where it is not known.
-pub fn ridges(
+pub(crate) fn ridges(
     image: Mono8<'_>,
     runs: &Runs,
     period: &Plane<f32>,
@@ -107,8 +107,13 @@ pub fn ridges(
 }
 
 /// The ridges' pixels on the core of one fringe. `wrapped` must already be that of the marker's mean light
-/// (see [`self::bias`]): between its dashes a darkened marker has no core of its own.
-pub fn detect(ridges: &Runs, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &CameraProjector) -> Runs {
+/// (`bias.rs`): between its dashes a darkened marker has no core of its own.
+pub(crate) fn detect(
+    ridges: &Runs,
+    period: &Plane<f32>,
+    wrapped: &Plane<f32>,
+    pair: &CameraProjector,
+) -> Runs {
     let mut core = Runs::default();
     for v in 0..ridges.height() {
         let wrapped = wrapped.row(v);

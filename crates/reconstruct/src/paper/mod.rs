@@ -34,7 +34,7 @@ pub const UNCHECKED: &str =
 
 /// What Section 4.1 makes of a photograph; all planes are as large as that.
 #[derive(Debug)]
-pub struct AbsolutePhase {
+pub(crate) struct AbsolutePhase {
     /// Fm, rad; NaN where it is unknown, and everywhere without a marker.
     pub fm: Plane<f32>,
     /// Mean light over one fringe, DN: the intensity of the cloud's points.
@@ -46,7 +46,7 @@ pub struct AbsolutePhase {
 }
 
 /// Section 4.1 for a photograph by the camera of `pair`.
-pub fn absolute_phase(image: Mono8<'_>, pair: &CameraProjector) -> AbsolutePhase {
+pub(crate) fn absolute_phase(image: Mono8<'_>, pair: &CameraProjector) -> AbsolutePhase {
     let om = mask::object(image, pair.period_px);
     let (pm, am) = period::measure(image, &om, pair.period_px);
     let sm = period::stability(&pm, pair.period_px);

@@ -27,7 +27,7 @@ const MAX_STEPS: f32 = 4e6;
 
 /// What is known of a frame on the region of interest.
 #[derive(Debug, Clone, Copy)]
-pub struct KnownPixels<'a> {
+pub(crate) struct KnownPixels<'a> {
     /// Absolute phase, rad; NaN where it is unknown.
     pub absolute: &'a Plane<f32>,
     /// It is known within these only.
@@ -65,7 +65,11 @@ impl KnownPixels<'_> {
 
 /// Collects the known pixels of a frame in whole steps. `sigma_code` holds the standard uncertainty of each phase as a
 /// byte, where uncertainties are wanted; `frame` is columns and rows.
-pub fn phase_map(known: &KnownPixels<'_>, sigma_code: Option<&Plane<u8>>, frame: [u16; 2]) -> PhaseMap {
+pub(crate) fn phase_map(
+    known: &KnownPixels<'_>,
+    sigma_code: Option<&Plane<u8>>,
+    frame: [u16; 2],
+) -> PhaseMap {
     let mut map = PhaseMap { frame, ..PhaseMap::default() };
     let mut room = vec![0u8; known.roi.width];
     simd::dispatch(

@@ -13,7 +13,7 @@ use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
 
 /// Pixels between neighbouring nodes, along columns and rows.
-pub const NODE_PX: usize = 8;
+pub(crate) const NODE_PX: usize = 8;
 
 /// Pixels that are worked on at once. The compiler turns loops of this length into vectors; loops over the pixels
 /// between two nodes it would unroll.
