@@ -128,7 +128,7 @@ fn normals_of_a_wall_are_those_of_the_wall() {
 }
 
 /// A board of black discs, as the calibration uses it: the discs' edges must not bend the plane. Without
-/// [`fourdbody::reconstruct::refine::albedo_edges`] and its companions the RMS here is seven times as much.
+/// the corrections of `reconstruct/refine` (`albedo_edges.rs`) the RMS here is seven times as much.
 #[test]
 fn a_board_with_black_discs_is_flat_up_to_their_edges() {
     let pair = pair(None);

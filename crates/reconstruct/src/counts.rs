@@ -1,20 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Pixel counts that tell how a frame went.
+//! Pixel counts by which the reconstruction of a frame is judged.
 
 use super::marker::epipolar_check::Dashes;
 
-/// Pixel counts that tell how a frame went.
+/// Pixel counts of one frame, stage by stage: what reports and summaries print of it.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Counts {
-    /// Pixels on the object mask.
+    /// Pixels on the object mask, without over-exposed ones.
     pub object: usize,
-    /// Pixels with a wrapped phase.
+    /// Pixels that have a wrapped phase, and those added at the ends of runs.
     pub phase: usize,
-    /// Pixels on marker cores.
+    /// Pixels on the cores of marker pieces whose number is known.
     pub marker: usize,
     /// Whether the marker's dashes lie where the calibration has them.
     pub dashes: Dashes,
-    /// Pixels left out because their fringe order is not certain.
+    /// Pixels with a phase that give no point because their fringe order is not certain.
     pub refused: usize,
     /// Pixels dropped near depth steps, faint or not like a fringe.
     pub dropped: usize,

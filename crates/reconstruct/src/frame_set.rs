@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The frames of all cameras of one trigger on their way: each gets its phases alone, then all give each other their fringe
-//! orders.
+//! The frames of all cameras of one trigger: each gets its phases alone, then their fringe orders are found together.
 
 use super::fringe_order::unwrapped_frame::UnwrappedFrame;
 use super::fringe_order::{self, MostDifference, View};
@@ -8,30 +7,30 @@ use super::marker::epipolar_check::Dashes;
 use super::outcome::{Reconstruction, WHY_ELSEWHERE};
 use super::pipeline::{self, Pipeline};
 
-/// A camera of a frame set.
+/// A camera of a frame set, as [`settle`] needs it.
 #[derive(Debug, Clone, Copy)]
 pub struct Camera<'a> {
-    /// Its name, for messages.
+    /// The camera's name, for messages to the user.
     pub id: &'a str,
     /// Which head it belongs to: cameras of equal number see the same projector.
     pub head: usize,
-    /// What reconstructs its frames.
+    /// The pipeline that reconstructs this camera's frames.
     pub pipeline: &'a Pipeline,
 }
 
-/// A frame on its way.
+/// How far the reconstruction of a frame has come.
 #[derive(Debug)]
 pub enum Stage {
-    /// The other cameras have a part in its fringe orders.
+    /// Its phases are known; its fringe orders are found together with those of the other cameras.
     Unwrapped(Box<UnwrappedFrame>),
-    /// They have none: it is refused, or what has become of it is known already.
+    /// It is finished: refused, or made by a method that needs no other camera.
     Made(Box<Reconstruction>),
-    /// No frame: outcome and reason.
+    /// There is no frame: the outcome, such as `gap`, and the reason.
     Missing(&'static str, String),
 }
 
 impl From<Result<UnwrappedFrame, Box<Reconstruction>>> for Stage {
-    /// What [`Pipeline::prepare`] gives.
+    /// Wraps the result of [`Pipeline::prepare`].
     fn from(prepared: Result<UnwrappedFrame, Box<Reconstruction>>) -> Self {
         match prepared {
             Ok(prepared) => Self::Unwrapped(Box::new(prepared)),

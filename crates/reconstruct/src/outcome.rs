@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What became of a frame: a cloud or a reason why there is none, and all that the frame gives.
+//! The result of a frame: a cloud, or the reason why there is none.
 
 use super::counts::Counts;
 use super::fringe_order::Regions;
@@ -8,7 +8,7 @@ use crate::base::image::Plane;
 use crate::data::{Cloud, PhaseMap};
 use std::time::Duration;
 
-/// What became of a frame.
+/// Whether a frame gave a cloud.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
     /// A cloud, which may leave parts unresolved.
@@ -17,18 +17,20 @@ pub enum Outcome {
     Refused(String),
 }
 
-/// Why a frame without light is refused.
+/// The reason of a frame that is refused because its mask is empty.
 pub const NO_OBJECT: &str = "there is no object in the frame";
 
-/// What to ask when dashes lie elsewhere.
+/// Possible causes, for messages about markers that do not lie where the calibration has them.
 pub const WHY_ELSEWHERE: &str =
     "is it the calibration of another camera, or another projector's light, or has a device moved?";
 
-/// What a frame with this cloud has come to.
+/// The outcome of a frame with this cloud.
 pub(super) fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
     if cloud.is_empty() && counts.marker == 0 && counts.dashes.stretches > 0 {
-        let reason = "what looks like the marker does not lie where the calibration has it, so that no fringe order is known";
-        Outcome::Refused(format!("{reason}; {WHY_ELSEWHERE}"))
+        Outcome::Refused(format!(
+            "what looks like the marker does not lie where the calibration has it, so that no fringe order is \
+             known; {WHY_ELSEWHERE}"
+        ))
     } else if cloud.is_empty() && counts.marker == 0 {
         Outcome::Refused("no marker was found, so that no fringe order is known".to_owned())
     } else if cloud.is_empty() {
@@ -38,31 +40,31 @@ pub(super) fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
     }
 }
 
-/// Everything that one frame gives.
+/// Everything that one frame gives. [`crate::pipeline::Pipeline::finish`] makes it; the caller owns it.
 #[derive(Debug)]
 pub struct Reconstruction {
-    /// The directional cloud, in the world frame.
+    /// The directional cloud: points and normals in the world frame, m. Empty where the frame is refused.
     pub cloud: Cloud,
-    /// What the cloud follows from, given the calibration.
+    /// Absolute phase and light of each known pixel in whole steps: the calibration turns it into the same cloud.
     pub phase: PhaseMap,
-    /// Whether there is one.
+    /// Whether the frame gave a cloud.
     pub outcome: Outcome,
-    /// How it went.
+    /// Pixel counts of the stages.
     pub counts: Counts,
     /// Pieces of surface and how certain their fringe orders are; for each point see [`Regions::margin_at`].
     pub regions: Regions,
-    /// Time of each stage, in order.
+    /// Name and duration of each stage, in the order in which they ran.
     pub stages: Vec<(&'static str, Duration)>,
-    /// The maps, where they were asked for.
+    /// The maps of the stages, where the pipeline keeps them (`reconstruct --dump-maps`).
     pub maps: Option<Maps>,
 }
 
 /// The maps of a frame, on its region of interest.
 #[derive(Debug)]
 pub struct Maps {
-    /// Where they lie in the frame.
+    /// The part of the frame that the maps cover.
     pub roi: Roi,
-    /// Columns and rows of the whole frame.
+    /// Columns and rows of the whole frame, px.
     pub frame: (usize, usize),
     /// Named maps: Om, Pm, Am, Sm, Wm, Vm, Bm, Qm, Um, Mm, Fm as far as the method has them. NaN: undefined.
     pub planes: Vec<(&'static str, Plane<f32>)>,

@@ -14,7 +14,6 @@ use super::marker::number;
 use super::marker::pieces::MarkerPieces;
 use super::outcome::{Maps, NO_OBJECT, Outcome, Reconstruction, WHY_ELSEWHERE, outcome_of};
 use super::phase::demodulate::{self, Gains};
-use super::phase::window_quality::Windows;
 use super::refine::{FrameMaps, albedo_edges, curvature, extend_runs, select, uncertainty};
 use super::triangulate::points;
 use super::triangulate::ray_table::RayTable;
@@ -35,6 +34,11 @@ pub enum Method {
 }
 
 /// Reconstructs the frames of one camera.
+///
+/// It is made once for a camera of a calibration, by [`crate::Reconstructor`] or by whoever reconstructs a session,
+/// and holds the camera's tables, which take longer to make than a frame to reconstruct. It is not changed by frames,
+/// so that any number of threads may use it at once. [`Pipeline::prepare`] finds the phases of a frame,
+/// [`crate::frame_set::settle`] the fringe orders of all frames of a trigger, [`Pipeline::finish`] the cloud.
 #[derive(Debug)]
 pub struct Pipeline {
     triangulator: Triangulator,
@@ -47,8 +51,8 @@ pub struct Pipeline {
     workspace: Arc<Workspace>,
 }
 
-/// Memory that the stages of one frame leave to the next, of whichever camera and on whichever thread. Who runs several
-/// pipelines gives them one ([`Pipeline::with_workspace`]).
+/// Memory that the stages of one frame leave to the next, of any camera and on any thread. Whoever runs several
+/// pipelines gives all of them the same ([`Pipeline::with_workspace`]).
 #[derive(Debug, Default)]
 pub struct Workspace {
     buffers: Pool<Buffers>,
@@ -63,7 +67,7 @@ struct Buffers {
 }
 
 impl Pipeline {
-    /// A pipeline for one camera.
+    /// A pipeline for the camera of `triangulator`. With `keep_maps` each result holds the maps of all stages.
     pub fn new(triangulator: Triangulator, method: Method, keep_maps: bool) -> Self {
         let pair = triangulator.pair();
         let (bias, table) = (Bias::new(&pair.pattern), Arc::new(RayTable::new(pair)));
@@ -71,19 +75,19 @@ impl Pipeline {
         Self { triangulator, table, gains, bias, method, keep_maps, uncertainty: false, workspace }
     }
 
-    /// Uses this memory, instead of its own.
+    /// Uses this memory instead of memory of its own.
     #[must_use]
     pub fn with_workspace(self, workspace: Arc<Workspace>) -> Self {
         Self { workspace, ..self }
     }
 
-    /// Also gives every point its standard uncertainty, which the paper's method has none of.
+    /// Also gives every point its standard uncertainty, m. The paper's method has none.
     #[must_use]
     pub fn with_uncertainty(self, uncertainty: bool) -> Self {
         Self { uncertainty, ..self }
     }
 
-    /// What it triangulates with.
+    /// The geometry of the camera and its projector, solved exactly.
     pub fn triangulator(&self) -> &Triangulator {
         &self.triangulator
     }
@@ -94,7 +98,7 @@ impl Pipeline {
         [camera.width, camera.height]
     }
 
-    /// Reconstructs one frame by itself: its fringe orders have no other witness than its own marker.
+    /// Reconstructs one frame by itself: its fringe orders follow from its own marker alone.
     pub fn run(&self, image: Mono8<'_>) -> Reconstruction {
         match self.ordered(image) {
             Ok(prepared) => self.finish(prepared),
@@ -102,9 +106,9 @@ impl Pipeline {
         }
     }
 
-    /// The absolute phases of one frame by itself; NaN where there is none, any number beside its runs. Then all phases as they
-    /// are within each patch, which may lack whole turns. The error is that of [`Pipeline::prepare`], or the refusal of a frame
-    /// whose orders contradict each other.
+    /// The absolute phases of one frame by itself; NaN where there is none, any number beside its runs. Then all
+    /// phases as they are within each patch, which may lack whole turns. The error is that of [`Pipeline::prepare`],
+    /// or the refusal of a frame whose orders contradict each other.
     pub fn absolute(&self, image: Mono8<'_>) -> Result<(UnwrappedFrame, Plane<f32>), Box<Reconstruction>> {
         let mut prepared = self.ordered(image)?;
         let in_patches = prepared.absolute.clone();
@@ -112,7 +116,7 @@ impl Pipeline {
         Ok((prepared, in_patches))
     }
 
-    /// One frame whose orders no other camera has been asked for.
+    /// The phases of one frame, whose fringe orders are found without other cameras.
     fn ordered(&self, image: Mono8<'_>) -> Result<UnwrappedFrame, Box<Reconstruction>> {
         let mut prepared = self.prepare(image)?;
         let view = View { id: "", triangulator: &self.triangulator, head: 0, prepared: &mut prepared };
@@ -122,8 +126,8 @@ impl Pipeline {
         }
     }
 
-    /// Finds the phases of one frame. The error is what no other camera has a part in: the refusal of a frame that shows
-    /// nothing, and all that the paper's method makes of any frame.
+    /// Finds the phases of one frame. The error is a finished result: the refusal of a frame that shows nothing, and
+    /// what the paper's method, which needs no other camera, makes of any frame.
     pub fn prepare(&self, image: Mono8<'_>) -> Result<UnwrappedFrame, Box<Reconstruction>> {
         let mut clock = Clock::default();
         let mut counts = Counts::default();
@@ -160,7 +164,8 @@ impl Pipeline {
         self.phases(part, (runs, &lit), roi, clock, counts)
     }
 
-    /// The phases of the part of a frame that holds the object, whose runs these are: without and with what is over-exposed.
+    /// The phases of the part of a frame that holds the object, whose runs these are: without and with what is
+    /// over-exposed.
     fn phases(
         &self,
         image: Plane<u8>,
@@ -194,7 +199,8 @@ impl Pipeline {
             self.workspace.buffers.give(buffers);
             let Dashes { stretches, displaced, .. } = counts.dashes;
             let reason = format!(
-                "expected the marker's dashes where the calibration has them, found {displaced} of {stretches} stretches of them elsewhere; {WHY_ELSEWHERE}"
+                "expected the marker's dashes where the calibration has them, found {displaced} of {stretches} \
+                 stretches of them elsewhere; {WHY_ELSEWHERE}"
             );
             return Err(refused(clock, counts, reason));
         }
@@ -236,24 +242,12 @@ impl Pipeline {
 
     /// Makes the cloud of an unwrapped frame.
     pub fn finish(&self, prepared: UnwrappedFrame) -> Reconstruction {
+        let UnwrappedFrame { roi, regions, orders, image, marker, zone, runs, .. } = prepared;
         let UnwrappedFrame {
-            roi,
-            mut absolute,
-            regions,
-            orders,
-            mut counts,
-            runs,
-            mut windows,
-            mut period,
-            image,
-            zone,
-            mut planes,
-            mut clock,
-            marker,
-            ..
+            mut absolute, mut counts, mut windows, mut period, mut planes, mut clock, ..
         } = prepared;
         let pair = self.triangulator.pair();
-        // What the edges find, where uncertainties are asked for.
+        // The errors that the edges expect, where uncertainties are wanted.
         let mut expected =
             self.uncertainty.then(|| Plane::filled(absolute.width(), absolute.height(), f32::NAN));
         clock.time("order", || orders.apply(&mut absolute));
@@ -266,43 +260,34 @@ impl Pipeline {
             FrameMaps { runs: &runs, windows: &windows, period: &period, zone: &zone, sign: pair.sign };
         counts.dropped = clock.time("select", || {
             self.bias.correct(&mut absolute);
-            select::select(&mut absolute, maps, &select::Settings::default())
+            select::select(&mut absolute, maps)
         });
         clock.time("curvature", || {
-            let rows = (demodulate::ROWS as f32, pair.marker_period_px);
-            curvature::correct(&mut absolute, maps, rows);
+            curvature::correct(&mut absolute, maps, (demodulate::ROWS as f32, pair.marker_period_px));
         });
-        counts.dropped += clock.time("edges", || {
-            let (settings, expected) = (albedo_edges::Settings::default(), expected.as_mut());
-            albedo_edges::refine(&mut absolute, maps, &settings, expected)
-        });
+        counts.dropped +=
+            clock.time("edges", || albedo_edges::refine(&mut absolute, maps, expected.as_mut()));
         let sigma_codes = expected.map(|expected| {
             let rows = pair.marker_period_px;
             clock.time("uncertainty", || uncertainty::sigma_codes(&absolute, maps, &expected, rows))
         });
-        let frame = (pair.camera.width, pair.camera.height);
         let known = points::KnownPixels { absolute: &absolute, runs: &runs, light: &windows.light, roi };
         let size = self.frame().map(|px| px as u16);
-        let map = clock.time("quantize", || points::phase_map(&known, sigma_codes.as_ref(), size));
-        let cloud = clock.time("points", || points::make(&self.table, &map));
-        let Windows { strength, light, misfit } = windows;
-        [strength, light].into_iter().for_each(|plane| self.workspace.planes.words.give(plane));
-        [misfit, period].into_iter().for_each(|plane| self.workspace.planes.floats.give(plane));
-        [marker, zone, image].into_iter().for_each(|plane| self.workspace.planes.bytes.give(plane));
-        if self.keep_maps {
+        let phase = clock.time("quantize", || points::phase_map(&known, sigma_codes.as_ref(), size));
+        let cloud = clock.time("points", || points::make(&self.table, &phase));
+        let memory = &self.workspace.planes;
+        [windows.strength, windows.light].into_iter().for_each(|plane| memory.words.give(plane));
+        [windows.misfit, period].into_iter().for_each(|plane| memory.floats.give(plane));
+        [marker, zone, image].into_iter().for_each(|plane| memory.bytes.give(plane));
+        let maps = if self.keep_maps {
             planes.push(("Fm", absolute));
+            Some(Maps { roi, frame: (pair.camera.width, pair.camera.height), planes })
         } else {
-            self.workspace.planes.floats.give(absolute);
-        }
-        Reconstruction {
-            outcome: outcome_of(&cloud, &counts),
-            cloud,
-            phase: map,
-            counts,
-            regions,
-            stages: clock.0,
-            maps: self.keep_maps.then_some(Maps { roi, frame, planes }),
-        }
+            memory.floats.give(absolute);
+            None
+        };
+        let outcome = outcome_of(&cloud, &counts);
+        Reconstruction { cloud, phase, outcome, counts, regions, stages: clock.0, maps }
     }
 }
 
@@ -314,15 +299,9 @@ pub fn refuse(prepared: UnwrappedFrame, reason: String) -> Box<Reconstruction> {
 }
 
 fn refused(clock: Clock, counts: Counts, reason: String) -> Box<Reconstruction> {
-    Box::new(Reconstruction {
-        cloud: Cloud::default(),
-        phase: PhaseMap::default(),
-        outcome: Outcome::Refused(reason),
-        counts,
-        regions: Regions::default(),
-        stages: clock.0,
-        maps: None,
-    })
+    let (cloud, phase, regions) = (Cloud::default(), PhaseMap::default(), Regions::default());
+    let (outcome, stages) = (Outcome::Refused(reason), clock.0);
+    Box::new(Reconstruction { cloud, phase, outcome, counts, regions, stages, maps: None })
 }
 
 /// The object as a mask as large as the image.

@@ -19,22 +19,22 @@ use super::phase::{period, shading};
 use super::triangulate::camera_projector::CameraProjector;
 use crate::base::image::{Mono8, Plane};
 
-/// What the front end gives, on the region of interest.
+/// The results of the front end; all planes cover the region of interest.
 #[derive(Debug)]
 pub struct Front {
     /// Runs of the object: nothing is known outside of them.
     pub runs: Runs,
-    /// Pm, px; 0 where it is unknown.
+    /// Fringe period Pm, px; 0 where it is unknown.
     pub period: Plane<f32>,
-    /// What is left of the windows of Wm.
+    /// Amplitude, light and misfit of the window of each pixel.
     pub windows: Windows,
-    /// Wm, rad; NaN where it is unknown.
+    /// Wrapped phase Wm, rad; NaN where it is unknown.
     pub wrapped: Plane<f32>,
-    /// Around the marker: not 0.
+    /// Not 0 around the marker, where phases are means over its period.
     pub zone: Plane<u8>,
-    /// The marker's cores.
+    /// Runs of the pixels on the marker's cores, which name a fringe.
     pub cores: Runs,
-    /// The marker's modulation relative to the light, where it was asked for.
+    /// The marker's modulation relative to the light, where maps are kept.
     pub energy: Option<Plane<f32>>,
     /// Pixels with a wrapped phase.
     pub known: usize,
@@ -43,41 +43,43 @@ pub struct Front {
 /// Rows that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub struct Buffers {
-    /// Where planes are looked at.
+    /// Which columns beside the runs later stages read.
     surroundings: Surroundings,
     period: period::Buffers,
     marker: marker::Buffers,
-    /// C and S of each row as demodulated, and with the marker's means.
+    /// Rings of rows of C and S: as demodulated, and with the marker's means in its zone.
     raw: [Vec<Vec<f32>>; 2],
     bridged: [Vec<Vec<f32>>; 2],
-    /// The latter with a length of 1, and their lengths.
+    /// The phasors of `bridged` with a length of 1, and their lengths.
     units: [Vec<Vec<f32>>; 3],
-    /// What their windows have beside the fringe.
+    /// The misfit of the windows, in a ring of rows.
     misfit: Vec<Vec<f32>>,
     /// C and S of a row before the bias of shading is taken off.
     shaded: [Vec<f32>; 2],
-    /// A row of zeros.
+    /// A row of zeros: what stands for rows beyond the frame.
     zeros: Vec<f32>,
     /// Light of a row's pixels, and of their windows, with room to either side.
     light: Light,
     mean: Vec<f32>,
-    /// Phases found so far.
+    /// Pixels with a phase so far.
     known: usize,
 }
 
-/// Rows of `bridged`: five that are averaged.
+/// Rows in the rings of `bridged` and `units`: as many as are averaged.
 const BRIDGED: usize = demodulate::ROWS;
 
-/// What is wanted besides.
+/// Which results are wanted beside those that every frame gives.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Keep {
-    /// The marker's energy.
+    /// Whether to keep the plane of the marker's energy.
     pub energy: bool,
-    /// Light and misfit of 0 beside the runs, where they are any otherwise; periods and phases that are none far beside them, too.
+    /// Whether to define all planes beside the runs, for readers of whole rows: light and misfit become 0, periods and
+    /// phases unknown.
     pub define_outside_runs: bool,
 }
 
-/// Runs the front end on the part of a frame that holds the object, whose runs these are: without and with what is over-exposed.
+/// Runs the front end on the part of a frame that holds the object, whose runs these are: without and with what is
+/// over-exposed.
 pub(super) fn run(
     image: Mono8<'_>,
     (runs, lit): (Runs, &Runs),
@@ -155,7 +157,7 @@ impl Input<'_> {
         let (w, h) = (self.image.width(), self.image.height());
         let average = bias::Average::new(self.pair);
         let reach = average.reach();
-        const LATER: usize = demodulate::ROWS / 2;
+        const LATER: usize = demodulate::ROWS_EACH_SIDE;
         buffers.raw.iter_mut().for_each(|ring| empty(ring, 2 * reach + 1, w));
         buffers.bridged.iter_mut().for_each(|ring| empty(ring, BRIDGED, w));
         buffers.units.iter_mut().for_each(|ring| empty(ring, BRIDGED, w));
@@ -188,7 +190,7 @@ impl Input<'_> {
     fn demodulate(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows) {
         let Buffers { raw: [c, s], misfit, shaded, light, mean, .. } = buffers;
         let (length, misfits) = (c.len(), misfit.len());
-        // Rows that are known to be of one length need one look whether a block fits.
+        // Slices of one length: the compiler then checks once whether a block fits.
         let room = ..self.room();
         let (c, s) = (&mut c[v % length][room], &mut s[v % length][room]);
         let misfit = &mut misfit[v % misfits][room];
@@ -290,7 +292,7 @@ impl Input<'_> {
             [&unit_c[row][room], &unit_s[row][room], &length[row][room], &misfit[v % misfit.len()][room]]
         };
         let reach = demodulate::row_reach(v, self.image.height());
-        const REACH: usize = demodulate::ROWS / 2;
+        const REACH: usize = demodulate::ROWS_EACH_SIDE;
         // Rows beyond the frame take no part.
         let beyond = [&zeros[room]; 4];
         let mut around = [[beyond; 2]; REACH];
@@ -299,11 +301,11 @@ impl Input<'_> {
         }
         let [_, _, length, misfit] = rows(v);
         let own = [&c[v % BRIDGED][room], &s[v % BRIDGED][room], length, misfit];
-        // Nobody looks at windows outside of the runs, but at phases.
+        // Later stages read phases beside the runs, but no windows.
         fill_around(self.runs.row(v), wrapped.row_mut(v), surroundings.columns(v), f32::NAN);
         let (strength, misfit) = (self.rest(&mut windows.strength, v), self.rest(&mut windows.misfit, v));
         let phases = self.rest(wrapped, v);
-        // The marker's zone is in few rows: the others need not come from memory.
+        // Few rows cross the marker's zone: for the others the plane need not be loaded.
         let marked = !self.zone_runs.row(v).is_empty();
         for run in self.runs.row(v) {
             for first in run.columns().step_by(LANES) {
@@ -342,7 +344,7 @@ fn put_units([unit_c, unit_s, length]: [&mut [f32]; 3], first: usize, [c, s]: [&
     subpixel::put(length, first, &units[2]);
 }
 
-/// Blocks of four rows.
+/// The block of each of four rows that begins at this column.
 #[inline(always)]
 fn block<'a>(rows: &[&'a [f32]; 4], first: usize) -> demodulate::Row<'a> {
     // Not by `map`: that would be a call, compiled for the narrowest processor.
@@ -355,7 +357,7 @@ fn block<'a>(rows: &[&'a [f32]; 4], first: usize) -> demodulate::Row<'a> {
     ]
 }
 
-/// Blocks of the rows above and below.
+/// The blocks of a row above and of one below.
 #[inline(always)]
 fn pair<'a>([above, below]: &[[&'a [f32]; 4]; 2], first: usize) -> [demodulate::Row<'a>; 2] {
     [block(above, first), block(below, first)]
@@ -367,8 +369,8 @@ fn empty(ring: &mut Vec<Vec<f32>>, length: usize, width: usize) {
     ring.iter_mut().for_each(|row| subpixel::with_room(row, width));
 }
 
-/// Clears what rows of rings of so many rows, which are to become row `v`, hold of the one that they were, but where they are
-/// written anyway: beside the runs there is nothing.
+/// Prepares rows of rings of `length` rows for row `v`: clears what they hold of row `v - length`, except where the
+/// runs of row `v` will be written.
 #[inline(always)]
 fn clear<const N: usize>(mut rows: [&mut [f32]; N], runs: &Runs, v: usize, length: usize) {
     let Some(before) = v.checked_sub(length) else { return };

@@ -10,7 +10,6 @@ mod edge;
 /// Girths of a merged cloud at a height.
 pub mod girth;
 /// Points by cell: neighbours within a short reach.
-mod grid;
 /// Which pixels of a photograph carry usable fringes.
 pub mod light;
 /// Plane fits of the board.

@@ -7,9 +7,9 @@
 use super::deviations::Deviations;
 use super::plane::GROSS_M;
 use crate::base::regular;
+use crate::geometry::cells::{Cells, cell_of};
 use nalgebra::{Matrix4, Point3, Vector3, Vector4};
 use serde::Serialize;
-use std::collections::HashMap;
 use std::path::Path;
 
 /// Distances to a known solid.
@@ -117,7 +117,7 @@ const MOST_CELLS: f64 = 1e6;
 #[derive(Debug)]
 pub struct Mesh {
     triangles: Vec<[Vector3<f64>; 3]>,
-    cells: HashMap<[i64; 3], Vec<u32>>,
+    cells: Cells<u32>,
 }
 
 impl Mesh {
@@ -163,7 +163,7 @@ impl Mesh {
 
     /// A mesh of these triangles, or why they are none.
     pub fn new(triangles: Vec<[Vector3<f64>; 3]>) -> Result<Self, String> {
-        let mut cells: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
+        let mut places = Vec::new();
         for (number, triangle) in triangles.iter().enumerate() {
             let low = triangle.iter().fold(triangle[0], |a, b| a.inf(b)).map(|x| (x / CELL_M).floor());
             let high = triangle.iter().fold(triangle[0], |a, b| a.sup(b)).map(|x| (x / CELL_M).floor());
@@ -173,16 +173,14 @@ impl Mesh {
             }
             for z in low.z as i64..=high.z as i64 {
                 for y in low.y as i64..=high.y as i64 {
-                    for x in low.x as i64..=high.x as i64 {
-                        cells.entry([x, y, z]).or_default().push(number as u32);
-                    }
+                    places.extend((low.x as i64..=high.x as i64).map(|x| ([x, y, z], number as u32)));
                 }
             }
         }
         if triangles.is_empty() {
             Err("there are no faces".to_owned())
         } else {
-            Ok(Self { triangles, cells })
+            Ok(Self { triangles, cells: Cells::new(places.into_iter()) })
         }
     }
 
@@ -191,23 +189,20 @@ impl Mesh {
     /// Where several faces share the nearest edge or corner, the one that the point lies most in front of or behind
     /// decides the side.
     pub fn distance(&self, point: &Point3<f64>) -> Option<f64> {
-        let [x, y, z]: [i64; 3] = point.coords.map(|x| (x / CELL_M).floor() as i64).into();
         let (mut best, mut side) = (f64::INFINITY, 0.0f64);
-        for cell in (0..27).map(|i| [x + i % 3 - 1, y + i / 3 % 3 - 1, z + i / 9 - 1]) {
-            for &number in self.cells.get(&cell).into_iter().flatten() {
-                let triangle = &self.triangles[number as usize];
-                let away = point.coords - super::truth::closest(&point.coords, triangle);
-                let distance = away.norm();
-                if distance > best + 1e-12 {
-                    continue;
-                }
-                let [a, b, c] = triangle;
-                let height = away.dot(&(b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_default());
-                if distance < best - 1e-12 || height.abs() > side.abs() {
-                    side = height;
-                }
-                best = best.min(distance);
+        for &number in self.cells.around(cell_of((*point).into(), CELL_M)) {
+            let triangle = &self.triangles[number as usize];
+            let away = point.coords - super::truth::closest(&point.coords, triangle);
+            let distance = away.norm();
+            if distance > best + 1e-12 {
+                continue;
             }
+            let [a, b, c] = triangle;
+            let height = away.dot(&(b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_default());
+            if distance < best - 1e-12 || height.abs() > side.abs() {
+                side = height;
+            }
+            best = best.min(distance);
         }
         best.is_finite().then(|| best.copysign(side))
     }

@@ -9,8 +9,8 @@
 //! points within [`DISC_M`] of each. Where cameras overlap the nearest point may be any distance, so that only the
 //! last measures how fine a detail the cloud can hold.
 
-use super::grid::Grid;
 use crate::data::Cloud;
+use crate::geometry::cells::{Cells, cell_of};
 use nalgebra::Point3;
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 use serde::Serialize;
@@ -92,16 +92,17 @@ pub struct Merged {
 
 /// Measures a merged cloud; `None` where all points are lone.
 pub fn merged(cloud: &Cloud) -> Option<Merged> {
-    let points = cloud.position_m.iter().map(|p| Point3::from(*p).cast::<f64>());
-    let grid = Grid::new(points, REACH_M);
-    let cell = |cell: usize| {
-        let (mut around, mut sums) = (Vec::new(), Sums::default());
-        grid.around(cell, &mut around);
-        grid.members(cell).for_each(|point| sums.add(point, &around, grid.side_m()));
-        sums
-    };
+    let points = cloud.position_m.iter().filter(|p| p.iter().all(|x| x.is_finite()));
+    let points = points.map(|p| Point3::from(*p).cast::<f64>());
+    let cells = Cells::new(points.map(|point| (cell_of(point.into(), REACH_M), point)));
     // Floating sums depend on their order: cells are summed one by one.
-    let sums: Vec<Sums> = (0..grid.cells()).into_par_iter().map(cell).collect();
+    let each: Vec<_> = cells.each().collect();
+    let sums = each.into_par_iter().map(|(cell, members)| {
+        let (around, mut sums) = (cells.around(cell).copied().collect::<Vec<_>>(), Sums::default());
+        members.for_each(|point| sums.add(point, &around, REACH_M));
+        sums
+    });
+    let sums: Vec<Sums> = sums.collect();
     let all = sums.into_iter().fold(Sums::default(), Sums::join);
     let n = all.count as f64;
     (all.count > 0).then(|| Merged {

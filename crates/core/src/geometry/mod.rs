@@ -4,6 +4,8 @@
 //! A camera and a projector are the same kind of [`Device`]: a [`Lens`] at a pose `world_from_device`.
 //! Device axes: x along image columns (u), y along rows (v), z forward. Lengths are metres.
 
+/// Things sorted into cubic cells by their place.
+pub mod cells;
 mod fringes;
 mod lens;
 mod motion;

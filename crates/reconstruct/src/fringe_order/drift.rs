@@ -1,75 +1,76 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! By how much two cameras differ where both surely see one surface: calibrations age, devices turn.
 //!
-//! What is certain after the first pass is looked at once more. The differences that one camera has from another change slowly over the
-//! image, as those of a turned device do: a plane is laid through them, and taken off before the cameras are asked again. How far they
-//! scatter about it is how near the two can be expected to agree.
+//! What is certain after the first pass is looked at once more. The differences that one camera has from another
+//! change slowly over the image, as those of a turned device do: a plane is laid through them, and taken off in the
+//! second pass. How far they scatter about it is how near the two can be expected to agree.
 
 use super::evidence::{NO_ORDER, OrderTable};
 use super::inference::Field;
 use super::observation::{Observations, Observed, PLACES};
 use super::projection::{LANES, Ray};
-use super::{Scene, View};
+use super::scene::Scene;
+use super::unwrapped_frame::View;
 use nalgebra::{Matrix3, Vector3};
 use std::f32::consts::{PI, TAU};
 
 /// Terms of a difference: the same everywhere, along the row, along the column.
 pub const TERMS: usize = 3;
 
-/// Pixels that the terms are counted in.
+/// The unit of columns and rows in the terms, px: it keeps the terms near 1.
 const UNIT_PX: f32 = 1000.0;
 
-/// Fewer places tell nothing.
+/// Places that a plane needs at least: with fewer, the differences of two cameras stay unknown.
 const LEAST_PLACES: usize = 30;
 
-/// Differences are expected to be so small, in rad, as long as few places say otherwise.
+/// How many places the expectation that differences are small counts as, in the fit of the plane.
 const PRIOR_PLACES: f64 = 10.0;
+
+/// The size that differences are expected to have before any place is seen, rad.
 const PRIOR_RAD: f64 = 0.1;
 
-/// Scale of the differences about the plane at least, rad.
+/// The least scale of the differences about the plane, rad: that of cameras of one head ([`super::evidence`]).
 const LEAST_SCALE_RAD: f64 = 0.02;
 
-/// Rounds in which the weights of single differences are found.
+/// Rounds of the fit, each with weights by the differences that the last one left.
 const ROUNDS: usize = 6;
 
-/// Where two cameras differ by more, the calibration is not believed, as a rule, rad.
+/// Where two cameras differ by more, the calibration is not believed, rad. Chosen on calibrations whose devices have
+/// turned (lots 1 to 4 of `make light`, *drift*).
 const MOST_RAD: f32 = 0.2;
 
 /// By how much two cameras may differ where both see one surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MostDifference {
-    /// Everywhere: devices have turned, rad.
+    /// Most difference in the middle of what both see, rad: beyond, devices have turned.
     pub everywhere_rad: f32,
-    /// Single places about that, rad.
+    /// Most scale of single places about the fitted plane, rad.
     pub scatter_rad: f32,
 }
 
 impl MostDifference {
-    /// Whatever they differ by, it is believed.
+    /// No bound: cameras are believed whatever they differ by.
     pub const ANY: Self = Self { everywhere_rad: f32::INFINITY, scatter_rad: f32::INFINITY };
 
-    /// As a rule, where each row of the frames stands for so many of the camera's. Patches are as many times higher, and single
-    /// places differ from their planes by as much more; devices that have turned make the same difference.
+    /// The bounds for frames of which each row stands for `rows` rows of the camera. Patches are as many times higher,
+    /// and single places differ from their planes by as much more; devices that have turned make the same difference.
     pub fn of_rows(rows: usize) -> Self {
         Self { everywhere_rad: MOST_RAD, scatter_rad: MOST_RAD * rows as f32 }
     }
 }
 
 /// Differences of a block of cameras from a view, where both see one surface.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Differences {
-    /// By term, rad.
+    /// The coefficient of each term, rad, by camera.
     pub terms: [[f32; LANES]; TERMS],
-    /// Their scale about these, rad; 0 where it is not known.
+    /// Their scale about the plane of the terms, rad; 0 where it is not known.
     pub scale: [f32; LANES],
     /// What they are in the middle of the places where both see one surface, rad.
     pub middle: [f32; LANES],
 }
 
 impl Differences {
-    /// None are known.
-    pub const NONE: Self = Self { terms: [[0.0; LANES]; TERMS], scale: [0.0; LANES], middle: [0.0; LANES] };
-
     /// The terms of a pixel.
     pub fn terms_of((u, v): (usize, usize)) -> [f32; TERMS] {
         [1.0, u as f32 / UNIT_PX, v as f32 / UNIT_PX]
@@ -87,8 +88,8 @@ pub struct Turned {
 }
 
 impl Turned {
-    /// The camera that differs most from the others, where any two differ by too much: by what they differ everywhere, or by how much
-    /// single places scatter about that.
+    /// The camera that differs most from the others, where any two differ by too much: by what they differ everywhere,
+    /// or by how much single places scatter about that.
     pub fn most(differences: &[Vec<Differences>], most: MostDifference) -> Option<Self> {
         let mut of_each = vec![Vec::new(); differences.len()];
         let (mut scattered, mut too_much) = (true, false);
@@ -112,7 +113,7 @@ impl Turned {
         worst.filter(|_| too_much)
     }
 
-    /// What a user is told.
+    /// The reason of the refusal, for the user.
     pub fn message(&self, views: &[View<'_>], most: MostDifference) -> String {
         let View { id, triangulator, .. } = &views[self.camera];
         let pair = triangulator.pair();
@@ -121,12 +122,15 @@ impl Turned {
             format!("expected cameras that agree within {most_rad} rad where they see one surface");
         if self.scattered {
             return format!(
-                "{expected}, found places where they do not, most with {id}: a pattern of the surface that looks like fringes, another light, or devices that have turned; if plain skin gives the same, calibrate again"
+                "{expected}, found single places where they do not, most of all with {id}: a pattern on the surface \
+                 that looks like fringes, other light, or devices that have turned; if plain skin gives the same, \
+                 calibrate again"
             );
         }
         let px = f64::from(self.by_rad) / std::f64::consts::TAU * f64::from(pair.period_px);
         format!(
-            "{expected}, found more; most differs {id}, by {:.2} rad, as if it or its projector had turned by {:.3} degree; calibrate again, or see with `fourdbody calibration check` which devices have turned",
+            "{expected}, found more: {id} differs most, by {:.2} rad, as if it or its projector had turned by {:.3} \
+             degree; run `fourdbody calibration check` to find the devices that have turned, or calibrate again",
             self.by_rad,
             (px / pair.camera.lens.fx).to_degrees()
         )
@@ -166,7 +170,7 @@ pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &OrderTable) -> Vec<Di
                 }
             }
         }
-        let mut found = Differences::NONE;
+        let mut found = Differences::default();
         for (c, seen) in seen.iter().enumerate().filter(|x| x.1.len() >= LEAST_PLACES) {
             let (terms, scale) = fit(seen);
             for (k, term) in terms.into_iter().enumerate() {
@@ -234,7 +238,7 @@ mod tests {
     #[test]
     fn the_camera_that_has_turned_is_named() {
         let differences = |by: [f32; 3]| {
-            let mut found = Differences::NONE;
+            let mut found = Differences::default();
             found.middle[..3].copy_from_slice(&by);
             found.scale[..3].fill(0.02);
             found

@@ -1,67 +1,73 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the other cameras say of the place where a patch would lie on each fringe.
+//! What each label of a patch costs, by what the other cameras observe at the place where the patch would lie.
 //!
-//! A camera that sees the surface there *agrees* as far as the phase that its projector would cast on the place is the one that it
-//! sees: differences are those of one surface (a Cauchy distribution), or as good as chance. Where it *looks past* the body, or the
-//! place *would hide* what it sees there, it speaks against it; what *is hidden* from it says little.
+//! A camera that sees the surface there *agrees* as far as the phase that its projector would cast on the place is the
+//! one that it sees: differences are those of one surface (a Cauchy distribution), or chance. Where it *looks past*
+//! the body, or the place *would hide* what it sees there, the label costs more; a place that *is hidden* from it
+//! costs little.
 
-use super::Scene;
 use super::drift::{Differences, TERMS};
 use super::inference::{Costs, Field, LABELS, NEVER, STEP};
 use super::observation::{Observations, Observed, PLACES};
 use super::patches::Patches;
 use super::projection::{LANES, Ray};
+use super::scene::Scene;
 use crate::kernels::fast_round::nearest;
 use crate::kernels::simd;
 use std::f32::consts::{PI, TAU};
 
-/// What a camera's observation of a place counts.
+/// Weights of what one camera observes at a place.
 struct CameraWeight {
-    /// Half width of the differences where both see one surface, rad.
+    /// Half width of the distribution of differences where both see one surface, rad.
     width_rad: f32,
-    /// How often both do.
+    /// How often both see one surface, 0 to 1.
     share: f32,
-    /// Costs where it looks past the body, where the place would hide what it sees, and where it is hidden from it.
+    /// Cost of a place at which the camera looks past the body.
     past: f32,
+    /// Cost of a place that would hide what the camera sees.
     before: f32,
+    /// Cost of a place that is hidden from the camera.
     behind: f32,
 }
 
-/// The other cameras of a view's head, and those of other heads: dark parts look like background to several heads at once.
+/// Weights of the other cameras of a view's own head.
 const SAME_HEAD: CameraWeight =
     CameraWeight { width_rad: 0.02, share: 1.0, past: 3.0, before: 2.0, behind: 0.5 };
+
+/// Weights of the cameras of other heads. `past` is small: dark parts look like background to several heads at once.
 const OTHER_HEAD: CameraWeight =
     CameraWeight { width_rad: 0.05, share: 0.25, past: 0.2, before: 2.0, behind: 0.0 };
 
-/// What neighbouring patches say, and what cameras say, is not independent: all of it counts so much.
+/// Factor on all observations of a patch: neighbouring patches and cameras are not independent.
 const EVIDENCE: f32 = 0.3;
 
-/// What a marker pixel counts, and all of a patch at most.
-const MARKER: f32 = 0.3;
-const MARKER_MOST: f32 = 3.0;
-
-/// At first, as long as it is not known by how much cameras differ, they agree within so many times as much.
+/// Factor on `width_rad` in the first pass, in which the differences between cameras are not known yet.
 const WIDER: f32 = 2.0;
 
-/// A view that is so many times darker than another one cannot tell it what is background: the mask ends where a fringe is a few DN
-/// above black.
+/// A view this many times darker than another one does not look past the other's places: its mask ends where a fringe
+/// is a few DN above black.
 const DIM: f32 = 4.0;
 
-/// The smallest patch that fills its cell, and the smallest that is asked, px.
+/// Pixels from which a patch counts as one that fills its cell of 64 px.
 pub const WHOLE_PX: u32 = 60;
+
+/// Pixels of the smallest patch that the other cameras are compared with, in the second pass.
 const LEAST_PX: u32 = 24;
 
-/// At first one whole cell in so many is asked, along rows and columns.
+/// In the first pass every such cell along rows and columns is compared with the other cameras.
 const SAMPLE: u32 = 2;
 
-/// Then labels whose costs are so near to the best; patches whose margin is so large are not asked again.
+/// In the second pass the labels are compared again whose costs exceed the least by no more than this.
 const KEEP: f32 = 8.0;
+
+/// In the second pass patches that fill their cell are not compared again from this margin on.
 const SURE: f32 = 10.0;
 
-/// No turns.
+/// Stands for whole turns that are not known.
 pub const NO_ORDER: i32 = i32::MIN;
 
-/// What is known of all views' patches, and of [nothing and a look past](super::observation::Numbers).
+/// What the first pass has found of all views' patches, and [no observation and a look
+/// past](super::observation::Numbers).
 #[derive(Debug)]
 pub struct OrderTable {
     /// Whole turns that make a patch's phases absolute, or [`NO_ORDER`].
@@ -70,12 +76,12 @@ pub struct OrderTable {
     pub differences: Vec<Vec<Differences>>,
 }
 
-/// What stands for nothing, and for a look past the object, in lists of all patches.
+/// Entries behind all patches in a list of turns: one for no observation, one for a look past the object.
 pub const BEYOND: usize = 2;
 
 type Lanes = [f32; LANES];
 
-/// What the observations of a block of cameras count for one view.
+/// The weights of a block of cameras for one view, in lanes.
 struct CameraWeights {
     width: Lanes,
     share: Lanes,
@@ -104,7 +110,7 @@ impl CameraWeights {
         weights
     }
 
-    /// What a patch costs at a place, by what the cameras have there. `turns` of the patches they see.
+    /// What a patch costs at a place, by what the cameras have there. `turns` of the patches that they see.
     #[inline(always)]
     fn cost(&self, seen: &Observed, turns: &[i32; LANES], bias: &Lanes, nothing: u32) -> f32 {
         let mut cost = [0f32; LANES];
@@ -144,7 +150,7 @@ fn ln(x: f32) -> f32 {
     log2 * std::f32::consts::LN_2
 }
 
-/// Whether a patch is one of the few whole ones that are asked at first.
+/// Whether a patch fills its cell and is one of those that the first pass compares.
 pub fn is_sample(patches: &Patches, i: usize) -> bool {
     let (patch, columns) = (&patches.all[i], patches.columns as u32);
     patch.size >= WHOLE_PX
@@ -152,9 +158,9 @@ pub fn is_sample(patches: &Patches, i: usize) -> bool {
         && (patch.cell / columns).is_multiple_of(SAMPLE)
 }
 
-/// Sets the costs of all labels of a view's patches. At first some whole cells are asked at all labels; then, with what is known, every
-/// patch at those near its best.
-pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &OrderTable, first: bool) {
+/// Sets the costs of all labels of a view's patches. The first pass compares some whole cells at all labels; the
+/// second, with what is known, every patch at the labels near its best.
+pub fn collect(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &OrderTable, first: bool) {
     let (own, view) = (field.scene, field.number);
     let mut looks = Observations::new(scenes);
     let wide = if first { WIDER } else { 1.0 };
@@ -164,8 +170,14 @@ pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &OrderTable, firs
     let patches = &own.patches;
     // By patch.
     let votes: Vec<(u32, i32, f32)> = field.votes().collect();
-    let mut asked =
-        Asked { looks: &mut looks, own, view, weights: &weights, known, sights: [Observed::NONE; PLACES] };
+    let mut comparison = Comparison {
+        looks: &mut looks,
+        own,
+        view,
+        weights: &weights,
+        known,
+        sights: [Observed::NONE; PLACES],
+    };
     for (i, patch) in patches.all.iter().enumerate() {
         let whole = patch.size >= WHOLE_PX;
         if !first && whole && field.graph.margin[i] >= SURE {
@@ -176,7 +188,7 @@ pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &OrderTable, firs
         costs[..count].fill(0.0);
         if first && is_sample(patches, i) {
             let each = (SAMPLE * SAMPLE) as f32;
-            asked.look(field, i, count, |_| true, EVIDENCE * each, &mut costs);
+            comparison.look(field, i, count, |_| true, EVIDENCE * each, &mut costs);
         } else if !first && patch.size >= LEAST_PX {
             let most = field.graph.marginal[i].iter().fold(NEVER, |a, &b| a.min(b)) + (KEEP / STEP) as i16;
             for (cost, marginal) in costs[..count].iter_mut().zip(&field.graph.marginal[i]) {
@@ -184,7 +196,7 @@ pub fn ask(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &OrderTable, firs
                     *cost = KEEP;
                 }
             }
-            asked.look(
+            comparison.look(
                 field,
                 i,
                 count,
@@ -211,13 +223,8 @@ fn in_steps(costs: &[f32; LABELS]) -> Costs {
     costs.map(|cost| ((cost - least) * (1.0 / STEP)).min(f32::from(NEVER)) as i16)
 }
 
-/// What so many marker pixels count.
-pub fn marker(px: u32) -> f32 {
-    (MARKER * px as f32).min(MARKER_MOST)
-}
-
-/// Who is asked, and what for.
-struct Asked<'a> {
+/// The cameras that a view's patches are compared with.
+struct Comparison<'a> {
     looks: &'a mut Observations<'a>,
     own: &'a Scene<'a>,
     view: usize,
@@ -226,14 +233,14 @@ struct Asked<'a> {
     sights: [Observed; PLACES],
 }
 
-impl Asked<'_> {
-    /// Looks from a patch's line of sight at all labels that are asked, and adds what is said.
+impl Comparison<'_> {
+    /// Adds the costs of those labels of patch `i` for which `is_wanted`, from the places on its line of sight.
     fn look(
         &mut self,
         field: &Field<'_>,
         i: usize,
         count: usize,
-        is_asked: impl Fn(usize) -> bool,
+        is_wanted: impl Fn(usize) -> bool,
         weight: f32,
         costs: &mut [f32; LABELS],
     ) {
@@ -242,7 +249,7 @@ impl Asked<'_> {
         let table = self.own.projection.table;
         let line = table.sightline(u, v);
         let fringe = patch.phase / TAU - field.base[i] as f32;
-        let place = Place { terms: Differences::terms_of((u, v)), weight };
+        let place = (Differences::terms_of((u, v)), weight);
         let mut rays = [Ray { direction: line.direction, inverse_depth: 0.0 }; PLACES];
         let (mut labels, mut len) = ([0; PLACES], 0);
         for first in (0..count).step_by(PLACES) {
@@ -253,24 +260,31 @@ impl Asked<'_> {
             for (l, inverse) in (first..count).zip(inverse) {
                 if inverse.is_nan() {
                     costs[l] = f32::INFINITY;
-                } else if is_asked(l) {
+                } else if is_wanted(l) {
                     (rays[len].inverse_depth, labels[len]) = (inverse, l);
                     len += 1;
                     if len == PLACES {
-                        self.said(&rays, &labels, &place, costs);
+                        self.add_costs(&rays, &labels, place, costs);
                         len = 0;
                     }
                 }
             }
         }
         if len > 0 {
-            self.said(&rays[..len], &labels, &place, costs);
+            self.add_costs(&rays[..len], &labels, place, costs);
         }
     }
 
-    /// Adds what the cameras say of some places.
+    /// Adds the costs of some labels, by what the cameras observe there. `terms` of the patch's differences; `weight`
+    /// of all its observations.
     #[inline(always)]
-    fn said(&mut self, rays: &[Ray], labels: &[usize; PLACES], place: &Place, costs: &mut [f32; LABELS]) {
+    fn add_costs(
+        &mut self,
+        rays: &[Ray],
+        labels: &[usize; PLACES],
+        (terms, weight): ([f32; TERMS], f32),
+        costs: &mut [f32; LABELS],
+    ) {
         let Self { looks, view, weights, known, sights, .. } = self;
         for (block, weights) in weights.iter().enumerate() {
             let nothing = looks.at(*view, block, rays, sights);
@@ -279,7 +293,7 @@ impl Asked<'_> {
                 #[inline(always)]
                 || {
                     let mut bias = [0.0; LANES];
-                    for (term, by) in place.terms.iter().zip(&differences.terms) {
+                    for (term, by) in terms.iter().zip(&differences.terms) {
                         for i in 0..LANES {
                             bias[i] += term * by[i];
                         }
@@ -289,18 +303,10 @@ impl Asked<'_> {
                         for (turns, node) in turns.iter_mut().zip(seen.node) {
                             *turns = known.turns[(node as usize).min(known.turns.len() - 1)];
                         }
-                        costs[l] += place.weight * weights.cost(seen, &turns, &bias, nothing);
+                        costs[l] += weight * weights.cost(seen, &turns, &bias, nothing);
                     }
                 },
             );
         }
     }
-}
-
-/// A patch that is asked for.
-struct Place {
-    /// Of its differences.
-    terms: [f32; TERMS],
-    /// What all weights of it count.
-    weight: f32,
 }

@@ -1,33 +1,41 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The labels of a view's patches that cost least together: tree-reweighted message passing, one sweep after the other (TRW-S;
-//! Kolmogorov, IEEE PAMI 28:1568, 2006).
+//! The labels of a view's patches that cost least together: tree-reweighted message passing, one sweep after the other
+//! (TRW-S; Kolmogorov, IEEE PAMI 28:1568, 2006).
 
-use super::Scene;
 use super::links::Link;
+use super::scene::Scene;
 use crate::kernels::simd;
 use std::f32::consts::TAU;
 
-/// Labels of a patch: fringes from the first in the volume on its line of sight.
+/// Labels of a patch at most: fringes from the first in the volume on its line of sight.
 pub const LABELS: usize = 64;
 
-/// Costs are whole numbers of these steps, and least ones are 0: what is moved decides the time, and sums do not depend on their order.
+/// Costs are whole multiples of this step, in 16 bits, and the least cost of a patch is 0: sums do not depend on their
+/// order, and little memory is moved.
 pub const STEP: f32 = 1.0 / 128.0;
 
-/// The cost of a label that is none, in steps.
+/// The cost of a label that a patch cannot have, in steps: 100.
 pub const NEVER: i16 = 12_800;
 
-/// Sweeps there and back.
+/// Sweeps of message passing, each over all patches forwards and backwards.
 const SWEEPS: usize = 2;
+
+/// By how much one marker pixel lowers the cost of its patch's label.
+const MARKER: f32 = 0.3;
+
+/// By how much all marker pixels of a patch together lower that cost at most.
+const MARKER_MOST: f32 = 3.0;
 
 /// A cost for each label, in steps.
 pub type Costs = [i16; LABELS];
 
-/// Patches with the costs of their labels, how they hang together, and what is found of them.
+/// The patches of a view with the costs of their labels and the links between them; after [`Graph::infer`] with their
+/// labels and margins.
 #[derive(Debug)]
 pub struct Graph {
     /// Costs of each label by itself.
     pub unary: Vec<Costs>,
-    /// Least costs of all together with each label.
+    /// For each label of a patch, the least cost of all patches together with it.
     pub marginal: Vec<Costs>,
     /// The label of each patch.
     pub label: Vec<i32>,
@@ -45,17 +53,17 @@ pub struct Graph {
 /// The patches of a view among those of all.
 #[derive(Debug)]
 pub struct Field<'a> {
-    /// The view.
+    /// The view whose patches they are.
     pub scene: &'a Scene<'a>,
-    /// Its place among all.
+    /// The number of the view.
     pub number: usize,
     /// Where its patches begin among those of all views.
     pub first: usize,
     /// Whole turns that make a patch's phases absolute are its label less this.
     pub base: Vec<i32>,
-    /// Labels of each patch.
+    /// How many labels each patch may have.
     pub count: Vec<u32>,
-    /// What its labels cost.
+    /// Costs, links, labels and margins of the patches.
     pub graph: Graph,
 }
 
@@ -83,17 +91,17 @@ impl<'a> Field<'a> {
         self.graph.label[i] - self.base[i]
     }
 
-    /// What the marker says: patch, label, and what that counts.
+    /// The labels that marker pixels give their patches: patch, label, and how much that lowers the label's cost.
     pub fn votes(&self) -> impl Iterator<Item = (u32, i32, f32)> {
         let votes = self.scene.votes.iter();
         votes.map(|&(patch, turns, px)| {
-            (patch, turns + self.base[patch as usize], super::evidence::marker(px))
+            (patch, turns + self.base[patch as usize], (MARKER * px as f32).min(MARKER_MOST))
         })
     }
 }
 
 impl Graph {
-    /// So many patches, of which nothing is known.
+    /// A graph of `n` patches, whose costs are all 0.
     pub fn new(n: usize, links: Vec<Link>) -> Self {
         let mut start = vec![0u32; n + 1];
         links.iter().flat_map(|x| [x.a, x.b]).for_each(|i| start[i as usize + 1] += 1);
@@ -115,7 +123,7 @@ impl Graph {
         &self.of[self.start[i] as usize..self.start[i + 1] as usize]
     }
 
-    /// Finds labels and margins.
+    /// Finds the labels that cost least together, and their margins.
     pub fn infer(&mut self) {
         simd::dispatch(
             #[inline(always)]
@@ -174,7 +182,7 @@ impl Graph {
             later += usize::from(is_a);
             add(&mut sum, &self.messages[k as usize][usize::from(is_a)]);
         }
-        // Of 65536.
+        // A share, in units of 1/65536.
         let gamma = u32::from(u16::MAX) / later.max(of.len() - later).max(1) as u32;
         for &k in of {
             let link = &self.links[k as usize];
@@ -193,6 +201,7 @@ impl Graph {
             }
             let lowest = least(&own);
             cost[LABELS / 2..LABELS / 2 + LABELS].copy_from_slice(&own);
+            /// The largest number of turns between the labels of two patches that a link may have.
             const HALF: i32 = LABELS as i32 / 2;
             let turns = (if is_a { link.turns } else { -link.turns }).clamp(-HALF, HALF);
             let from = &cost[(HALF - turns) as usize..][..LABELS];
@@ -206,7 +215,7 @@ impl Graph {
     }
 }
 
-/// A cost in steps.
+/// A cost as a number of steps.
 #[inline(always)]
 fn in_steps(cost: f32) -> i16 {
     (cost * (1.0 / STEP)) as i16
@@ -222,6 +231,7 @@ fn add(to: &mut Costs, from: &Costs) {
 /// The least of all costs.
 #[inline(always)]
 fn least(costs: &Costs) -> i16 {
+    /// Costs that are compared at once.
     const LANES: usize = 16;
     let mut lanes = [i16::MAX; LANES];
     for costs in costs.as_chunks::<LANES>().0 {

@@ -1,37 +1,37 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where patches touch, by how many whole turns their phases differ, and how surely they are one surface.
 //!
-//! Two whole cells are planes: how these meet at their border tells one surface from two that touch by chance. Other patches are
-//! asked pixel by pixel.
+//! Two whole cells are planes: how these meet at their border separates one surface from two that touch by chance.
+//! Other patches are compared pixel by pixel.
 
 use super::lookup::Plane;
 use super::patches::{ALL, CELL_PX, FIRST_COLUMN, FIRST_ROW, Patches, Spot, Surface};
 use std::f32::consts::TAU;
 
-/// What the likelihood of two planes counts in the energy.
+/// Weight in the energy of the logarithm of the likelihood that two planes are one surface.
 const PLANES: f32 = 1.5;
 
 /// Scale of the step between two planes of one surface, rad.
 const STEP_RAD: f32 = 0.02;
 
-/// Scales of the bend along and across the rows from one plane to the next: of one surface, of two, rad.
+/// Scales of the bend from one plane to the next, rad: along the rows and across them, each of one surface and of two.
 const BENDS_RAD: [[f32; 2]; 2] = [[0.1, 0.8], [0.2, 0.6]];
 
-/// What the mean likelihood of the pixel pairs of a border counts.
+/// Weight in the energy of the mean logarithm of the likelihood of a border's pixel pairs.
 const PAIR: f32 = 0.6;
 
 /// Scale of the step between two pixels of one surface beyond what their patches' own slopes predict, rad.
 const PAIR_RAD: f32 = 0.05;
 
-/// The last column.
+/// The last column of a cell's bits.
 const LAST_COLUMN: u64 = FIRST_COLUMN << (CELL_PX - 1);
 
 /// Two patches that are one surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Link {
-    /// One patch.
+    /// The number of one patch.
     pub a: u32,
-    /// The other, which comes later.
+    /// The number of the other patch, which is larger.
     pub b: u32,
     /// Whole turns to add to the phases of `b` so that they continue those of `a`.
     pub turns: i32,
@@ -39,11 +39,13 @@ pub struct Link {
     pub weight: f32,
 }
 
-/// Two patches, turns, the pixel pairs that are nearest to these, and the logarithm of how much likelier they are one surface than two.
+/// Two patches, turns, the pixel pairs that are nearest to these, and the logarithm of how much likelier they are one
+/// surface than two.
 pub(super) type Pairs = (u32, u32, i32, u32, f32);
 
 impl Patches {
-    /// The links between the patches of one cell, and to those of the cells to the right and below. `found` is room to count in.
+    /// The links between the patches of one cell, and to those of the cells to the right and below. `found` is room to
+    /// count in.
     #[inline(always)]
     pub(super) fn link_cell(
         &mut self,
@@ -123,8 +125,8 @@ impl Patches {
         }
     }
 
-    /// Counts what the pixel pairs of two patches say. `pixels` are those of the first, in the cell that begins at `at`, which have one
-    /// of the second to their right or below them.
+    /// Adds the likelihoods of the pixel pairs of two patches. `pixels` are those of the first, in the cell that
+    /// begins at `at`, which have one of the second to their right or below them.
     #[inline(always)]
     fn pairs(
         &self,
@@ -167,12 +169,13 @@ impl Surface<'_> {
     }
 }
 
-/// How the planes of a cell and of that beside it, or below it if `across` is 1, meet: turns, and the logarithm of how much likelier
-/// they are one surface than two.
+/// How the planes of a cell and of that beside it, or below it if `across` is 1, meet: turns, and the logarithm of how
+/// much likelier they are one surface than two.
 #[inline(always)]
 fn meeting([a, b]: [Plane; 2], across: usize) -> (i32, f32) {
     // Half way between the last pixel of one cell and the first of the other, in the middle of the border.
     const MIDDLE: f32 = (CELL_PX - 1) as f32 / 2.0;
+    /// From a cell's first pixel to the border behind its last one, px.
     const EDGE: f32 = CELL_PX as f32 - 0.5;
     let at = |plane: &Plane, border: f32| {
         let other = plane.steps[1 - across];
@@ -188,7 +191,8 @@ fn meeting([a, b]: [Plane; 2], across: usize) -> (i32, f32) {
     (turns as i32, PLANES * likelier.ln())
 }
 
-/// How much likelier a step is on one surface, by a Cauchy distribution of that scale, than between two, which is any.
+/// How much likelier a step is on one surface than between two: a Cauchy distribution of that scale against a uniform
+/// one.
 #[inline(always)]
 fn likelier(step: f32, scale: f32) -> f32 {
     2.0 * scale / (scale * scale + step * step)

@@ -1,40 +1,42 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a view has in each cell of 8 x 8 px, laid out for the other cameras, which look it up at any place.
 //!
-//! Other cameras look up cells all over the image, and each look waits for memory. A cell that one node fills is a plane of 16 bytes, of which all stay
-//! in the cache, and so is one beside the object: a bit for each of its pixels. Only the others, on outlines and at steps, keep
-//! their pixels, side by side.
+//! Other cameras look up cells all over the image, and each look waits for memory. A cell that one node fills is a
+//! plane of 16 bytes, of which all stay in the cache, and so is one beside the object: a bit for each of its pixels.
+//! Only the others, on outlines and at steps, keep their pixels, side by side.
 
 use super::patches::CELL_PX;
 use crate::kernels::bit_rows::{self, WORD};
 use crate::kernels::pixel_runs::Runs;
 
-/// Cells around the region of interest in the grid that is looked at: beyond them there is nothing but background.
+/// Cells around the region of interest in the grid of a view, on each side: beyond them there is nothing but
+/// background.
 pub const PAD_CELLS: usize = 3;
 
-/// The same, px.
+/// Width of the margin of [`PAD_CELLS`] around the region of interest, px.
 pub const PAD_PX: usize = PAD_CELLS * CELL_PX;
 
-/// Background must be as wide around a place, px: outlines are not sharp.
+/// A camera looks past the body at a place only if there is background this far to the left, right, above and below,
+/// px: outlines are blurred.
 pub const BACKGROUND_PX: f32 = 10.0;
 
-/// Cells of the padded grid along so many pixels.
+/// Cells of the padded grid along a side of `px` pixels.
 pub fn padded(px: usize) -> usize {
     px.div_ceil(CELL_PX) + 2 * PAD_CELLS
 }
 
-/// Machine words of a row of so many cells.
+/// Machine words that hold a bit for each pixel of a row of `cells` cells.
 fn words(cells: usize) -> usize {
     (cells * CELL_PX).div_ceil(WORD)
 }
 
-/// What a cell is for those who look at it from elsewhere.
+/// What the other cameras see in a cell, in 16 bytes.
 #[derive(Debug, Clone, Copy)]
 pub struct CellContent {
-    /// The node that fills it, or one of the following; then the phase of the node's plane at the cell's first pixel,
-    /// rad; NaN where there is none.
+    /// The node that fills it, or one of the constants below; then the phase of the node's plane at the cell's first
+    /// pixel, rad, as bits of a float; NaN where there is none.
     surface: [u32; 2],
-    /// Of a plane its steps, of [`Self::NEAR`] its pixels, the upper rows first.
+    /// Of a plane its two steps, as bits of floats; of [`Self::NEAR`] a bit for each pixel, the upper rows first.
     bits: [u32; 2],
 }
 
@@ -48,7 +50,7 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// The phase so far from the cell's first pixel, rad.
+    /// The phase at this distance, in columns and rows, from the cell's first pixel, rad.
     #[inline(always)]
     pub fn at(&self, right: f32, down: f32) -> f32 {
         self.phase + (right * self.steps[0] + down * self.steps[1])
@@ -60,25 +62,26 @@ impl Plane {
 enum Kind {
     /// Beside the object, and so is all within [`BACKGROUND_PX`].
     Far,
-    /// Beside the object.
+    /// Beside the object, with object within [`BACKGROUND_PX`].
     Near,
     /// Pixels of several kinds: the place in [`CellLookup::rims`].
     Rim(usize),
-    /// Nothing but this node.
+    /// Filled by one patch, the node of this number.
     Node(u32),
 }
 
 impl CellContent {
     /// Beside the object, and so is all within [`BACKGROUND_PX`].
     pub const FAR: u32 = u32::MAX;
-    /// Beside the object.
+    /// Beside the object, with object within [`BACKGROUND_PX`].
     pub const NEAR: u32 = u32::MAX - 1;
     /// From here on: places in [`CellLookup::rims`].
     pub const RIM: u32 = 1 << 31;
     /// What is not seen: a plane without a phase.
     pub const UNSEEN: Self = Self::none(0);
 
-    /// A cell that a node fills, as a plane: its phase at the first pixel, its step from column to column, and from row to row, rad.
+    /// A cell that a node fills, as a plane: its phase at the first pixel, its step from column to column, and from
+    /// row to row, rad.
     #[inline(always)]
     pub fn of_plane(node: u32, plane: Plane) -> Self {
         Self { surface: [node, plane.phase.to_bits()], bits: plane.steps.map(f32::to_bits) }
@@ -105,14 +108,14 @@ impl CellContent {
         self.surface[0]
     }
 
-    /// Of a cell beside the object: a bit for each pixel, row by row, that has the object [`BACKGROUND_PX`] to the left, to the right,
-    /// above or below. Of any other nothing of use.
+    /// Of a cell beside the object: a bit for each pixel, row by row, that has the object [`BACKGROUND_PX`] to the
+    /// left, to the right, above or below. Of any other nothing of use.
     fn near(&self) -> u64 {
         let [above, below] = self.bits.map(u64::from);
         above | below << u32::BITS
     }
 
-    /// What it shows.
+    /// The content as an enumeration.
     #[inline(always)]
     fn kind(&self) -> Kind {
         match self.node() {
@@ -142,13 +145,14 @@ impl<const N: usize> CellLanes<N> {
         (self.surface[lane], self.bits[lane]) = (cell.surface, cell.bits);
     }
 
-    /// The node that fills each cell, or [`CellContent::FAR`], [`CellContent::NEAR`], or a rim from [`CellContent::RIM`] on.
+    /// The node that fills each cell, or [`CellContent::FAR`], [`CellContent::NEAR`], or a rim from
+    /// [`CellContent::RIM`] on.
     #[inline(always)]
     pub fn node(&self, lane: usize) -> u32 {
         self.surface[lane][0]
     }
 
-    /// The phase of a plane, so far from its first pixel, rad.
+    /// The phase of a plane at this distance, in columns and rows, from its first pixel, rad.
     #[inline(always)]
     pub fn phase(&self, lane: usize, right: f32, down: f32) -> f32 {
         let phase = f32::from_bits(self.surface[lane][1]);
@@ -156,7 +160,8 @@ impl<const N: usize> CellLanes<N> {
         phase + (right * f32::from_bits(by_column) + down * f32::from_bits(by_row))
     }
 
-    /// Of a cell beside the object: whether a pixel has the object [`BACKGROUND_PX`] to the left, to the right, above or below.
+    /// Of a cell beside the object: whether a pixel has the object [`BACKGROUND_PX`] to the left, to the right, above
+    /// or below.
     #[inline(always)]
     pub fn is_near(&self, lane: usize, u: u32, v: u32) -> bool {
         // By halves: words of 64 bits would be half as many at once.
@@ -167,38 +172,29 @@ impl<const N: usize> CellLanes<N> {
     }
 }
 
-/// A cell whose pixels have to be asked.
-#[derive(Debug, Clone)]
-pub struct Rim {
-    /// A bit for each pixel of the object, row by row.
-    pub object: u64,
-    /// The first of its nodes.
-    pub first: u32,
-    /// For each pixel 0, or the number of its node among the cell's, from 1.
-    pub of: [u8; CELL_PX * CELL_PX],
-    /// Phases of its pixels, and of the first column of the next cell, rad; NaN where they are unknown.
-    pub phase: [[f32; CELL_PX + 1]; CELL_PX],
-}
-
-/// A row of a [`Rim`]: all that is asked of a place lies side by side, for to wait for memory is what takes the time.
+/// A row of a cell whose pixels differ in kind. All that a look at a place needs lies in one cache line, because
+/// waiting for memory takes most of the time.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub struct RimRow {
-    /// As in [`Rim::phase`].
+    /// Phases of its pixels, and of the first column of the next cell, rad; NaN where they are unknown.
     pub phase: [f32; CELL_PX + 1],
     /// The first of the cell's nodes.
-    first: u32,
-    /// As in [`Rim::of`].
+    pub first: u32,
+    /// For each pixel 0, or the number of its node among the cell's, from 1.
     pub of: [u8; CELL_PX],
-    /// A bit for each pixel, as in [`Rim::object`].
-    object: u8,
-    /// The same of those that are the object's or have it [`BACKGROUND_PX`] to the left, to the right, above or below.
+    /// A bit for each pixel of the object.
+    pub object: u8,
+    /// A bit for each pixel that is the object's or has it [`BACKGROUND_PX`] to the left, to the right, above or below.
+    /// [`CellLookup::mark_outlines`] sets it.
     near: u8,
 }
 
 impl RimRow {
-    const NONE: Self =
-        Self { phase: [f32::NAN; CELL_PX + 1], first: 0, of: [0; CELL_PX], object: 0, near: 0 };
+    /// A row of pixels that are unknown, in a cell of these first node and object.
+    pub fn new(first: u32, object: u8) -> Self {
+        Self { phase: [f32::NAN; CELL_PX + 1], first, of: [0; CELL_PX], object, near: 0 }
+    }
 
     /// The node that [`Self::of`] stands for; any number where it stands for none.
     #[inline(always)]
@@ -219,28 +215,15 @@ impl RimRow {
     }
 }
 
-/// The rows of a cell whose pixels have to be asked.
-type RimRows = [RimRow; CELL_PX];
-
-impl Rim {
-    /// Its rows, as long as it is not known what is [`near`](RimRow::near).
-    fn rows(&self) -> RimRows {
-        let mut rows = [RimRow::NONE; CELL_PX];
-        let (of, _) = self.of.as_chunks::<CELL_PX>();
-        let pixels = self.phase.iter().zip(of).zip(self.object.to_le_bytes());
-        for (row, ((phase, of), object)) in rows.iter_mut().zip(pixels) {
-            *row = RimRow { phase: *phase, first: self.first, of: *of, object, near: 0 };
-        }
-        rows
-    }
-}
+/// The rows of a cell whose pixels differ in kind.
+pub type RimRows = [RimRow; CELL_PX];
 
 /// All cells of a view, with [`PAD_CELLS`] around.
 #[derive(Debug, Default)]
 pub struct CellLookup {
     stride: usize,
     rows: usize,
-    /// Row by row.
+    /// The padded grid, row by row.
     cells: Vec<CellContent>,
     /// Cells that no node fills, though they show the object.
     rims: Vec<RimRows>,
@@ -279,8 +262,8 @@ impl CellLookup {
         &self.cells
     }
 
-    /// Whether a pixel is the object's or has it beside it. `place` is a cell; the pixel is counted from its first, and may be in the
-    /// next column of cells.
+    /// Whether a pixel is the object's or has it beside it. `place` is a cell; the pixel is counted from its first,
+    /// and may be in the next column of cells.
     pub fn is_near(&self, place: u32, u: usize, v: usize) -> bool {
         let cell = self.at(place + (u / CELL_PX) as u32);
         match cell.kind() {
@@ -304,10 +287,10 @@ impl CellLookup {
         self.cells[place] = cell;
     }
 
-    /// Sets a cell whose pixels have to be asked.
-    pub fn set_rim(&mut self, column: usize, row: usize, rim: Rim) {
+    /// Sets a cell whose pixels differ in kind.
+    pub fn set_rim(&mut self, column: usize, row: usize, rim: RimRows) {
         self.set(column, row, CellContent::none(CellContent::RIM + self.rims.len() as u32));
-        self.rims.push(rim.rows());
+        self.rims.push(rim);
     }
 
     /// The cell of column `u / CELL_PX` and row `v / CELL_PX`; beyond the grid there is nothing but background.
@@ -334,8 +317,8 @@ impl CellLookup {
         }
     }
 
-    /// A bit for each pixel of the grid, 64 a word, row by row: whether the object is there, or [`BACKGROUND_PX`] to the left, to the
-    /// right, above or below.
+    /// A bit for each pixel of the grid, 64 a word, row by row: whether the object is there, or [`BACKGROUND_PX`] to
+    /// the left, to the right, above or below.
     #[inline(always)]
     fn near(&self, runs: &Runs) -> Vec<u64> {
         const REACH: usize = BACKGROUND_PX as usize;
@@ -421,7 +404,7 @@ impl CellLookup {
 
 #[cfg(test)]
 mod tests {
-    use super::{CellContent, CellLookup, Kind, Plane as CellPlane, Rim};
+    use super::{CellContent, CellLookup, Kind, Plane as CellPlane, RimRow};
     use crate::base::image::Plane;
     use crate::kernels::pixel_runs::Runs;
 
@@ -433,11 +416,12 @@ mod tests {
         (0..8).for_each(|v| object.row_mut(v)[..12].fill(1));
         let mut lookup = CellLookup::new(w, h);
         lookup.set(0, 0, CellContent::of_plane(5, CellPlane { phase: 0.0, steps: [0.0; 2] }));
-        let mut of = [0; 64];
-        for (i, of) in of.iter_mut().enumerate().filter(|x| x.0 % 8 < 4) {
-            *of = if i == 8 { 0 } else { 1 + u8::from(i >= 32) };
+        let mut rim = [RimRow::new(6, 0x0f); 8];
+        for (v, row) in rim.iter_mut().enumerate() {
+            row.of[..4].fill(1 + u8::from(v >= 4));
         }
-        lookup.set_rim(1, 0, Rim { object: 0x0f0f_0f0f_0f0f_0f0f, first: 6, of, phase: [[0.0; 9]; 8] });
+        rim[1].of[0] = 0;
+        lookup.set_rim(1, 0, rim);
         lookup.mark_outlines(&Runs::of(&object));
         for v in 0..40 {
             for u in 0..40 {

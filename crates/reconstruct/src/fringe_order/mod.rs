@@ -11,11 +11,14 @@
 //! drift           by how much two cameras differ where both surely see one surface
 //! inference       the orders that cost least together, and by how much they lead
 //! one_view        the same for a camera alone
-//! unwrapped_frame what goes in, and what comes out
+//! scene           a view with its patches, as the other cameras see it
+//! orders          the fringe orders that come out, and how certain they are
+//! unwrapped_frame a frame before and after
 //! ```
 //!
-//! A patch's label is the fringe that it lies on. What the other cameras and the marker say of a place is a cost of the label; that a
-//! patch does not continue its neighbour costs as much as it seems to. A patch whose label leads any other by too little is refused.
+//! A patch's label is the fringe that it lies on. What the other cameras observe at the place, and the marker, give
+//! each label a cost; a patch that does not continue its neighbour costs the weight of their link. A patch is refused
+//! if its label leads any other by too little.
 
 mod drift;
 mod evidence;
@@ -24,133 +27,38 @@ mod links;
 mod lookup;
 mod observation;
 mod one_view;
+mod orders;
 mod patches;
 mod projection;
+mod scene;
 pub mod unwrapped_frame;
 
-use super::kernels::pixel_runs::each_not_0;
-use super::kernels::region_of_interest::Roi;
-use super::kernels::simd;
-use super::triangulate::camera_projector::CameraProjector;
-use super::triangulate::triangulator::Triangulator;
-use crate::base::image::Plane;
 pub use drift::MostDifference;
 use drift::{Differences, Turned};
 use evidence::{BEYOND, NO_ORDER, OrderTable};
 use inference::Field;
-use nalgebra::{Point3, Vector3};
-use patches::{CELL_PX, Patch, Patches, Surface};
-use projection::{LANES, Projection};
+pub(crate) use orders::Orders;
+pub use orders::Regions;
+use patches::Patches;
+use projection::LANES;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use scene::Scene;
 use std::f32::consts::TAU;
 use std::time::Instant;
 use unwrapped_frame::UnwrappedFrame;
+pub use unwrapped_frame::View;
 
-/// A patch whose label leads any other by less is refused, as a rule. Twice as much: docs/validation.md, *Other poses and skins*.
+/// The default of `--margin`: a patch whose label leads any other by less is refused. Costs have no unit. For twice as
+/// much see docs/validation.md, *Other poses and skins*.
 pub const MARGIN: f32 = 1.0;
 
-/// A patch whose label leads by so much tells the other cameras what hides what.
+/// From this margin after the first pass on, a patch hides what lies behind it from the other cameras.
 const CERTAIN: f32 = 1.0;
 
-/// One camera's frame and its geometry.
-#[derive(Debug)]
-pub struct View<'a> {
-    /// Its name, for messages.
-    pub id: &'a str,
-    /// Its geometry.
-    pub triangulator: &'a Triangulator,
-    /// Which head it belongs to: cameras of equal number see the same projector.
-    pub head: usize,
-    /// Its frame.
-    pub prepared: &'a mut UnwrappedFrame,
-}
-
-/// How certain the fringe order of each pixel is.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Regions {
-    /// Column and row of the image at which the cells begin.
-    origin: (usize, usize),
-    /// Cells in a row.
-    columns: usize,
-    /// Patches that have an order: cell, pixels within it, by how much the order leads any other. Cell by cell.
-    patches: Vec<(u32, u64, f32)>,
-}
-
-impl Regions {
-    /// The margin of the order at a pixel of the frame, such as a cloud's `pixel`; 0 where there is none.
-    pub fn margin_at(&self, [u, v]: [u16; 2]) -> f32 {
-        let place = usize::from(u).checked_sub(self.origin.0).zip(usize::from(v).checked_sub(self.origin.1));
-        let Some((u, v)) = place.filter(|(u, _)| u / CELL_PX < self.columns) else { return 0.0 };
-        let cell = (v / CELL_PX * self.columns + u / CELL_PX) as u32;
-        let bit = 1u64 << (v % CELL_PX * CELL_PX + u % CELL_PX);
-        let first = self.patches.partition_point(|patch| patch.0 < cell);
-        let mut patches = self.patches[first..].iter().take_while(|patch| patch.0 == cell);
-        patches.find(|patch| patch.1 & bit != 0).map_or(0.0, |patch| patch.2)
-    }
-}
-
-/// What a frame's patches come to. They are cut while their phases are in the cache, and their orders are written when these are read
-/// again.
-#[derive(Debug, Default)]
-pub struct Orders {
-    patches: Patches,
-    /// What to add to the phases of each patch, rad; NaN where there is no order, and of all as long as nobody is asked.
-    shift: Vec<f32>,
-}
-
-impl Orders {
-    /// Cuts a frame's wrapped phases into patches: they become those unwrapped within each cell.
-    pub(super) fn cut(
-        phase: &mut Plane<f32>,
-        period: &Plane<f32>,
-        object: &super::kernels::pixel_runs::Runs,
-        pair: &CameraProjector,
-    ) -> Self {
-        let patches = Patches::cut(&mut Surface { phase, period, object, sign: pair.sign });
-        let shift = vec![f32::NAN; patches.all.len()];
-        Self { patches, shift }
-    }
-
-    /// Adds the orders to the phases.
-    pub(super) fn apply(&self, phase: &mut Plane<f32>) {
-        simd::dispatch(
-            #[inline(always)]
-            || self.patches.shift(phase, &self.shift),
-        );
-    }
-}
-
-/// A view as all others see it.
-#[derive(Debug)]
-struct Scene<'a> {
-    /// Its head's number.
-    head: usize,
-    /// Sign of its projector's phase's change with the distance from it.
-    towards: f32,
-    /// Where its planes lie in the frame.
-    roi: Roi,
-    patches: Patches,
-    /// Where the other cameras see its places.
-    projection: Projection<'a>,
-    /// What its marker says: patch, whole turns that make its phases absolute, pixels.
-    votes: Vec<(u32, i32, u32)>,
-    /// Mean light of its patches, DN.
-    light_dn: f32,
-}
-
-impl Scene<'_> {
-    /// The pixel of the frame that stands for a patch.
-    fn pixel(&self, patch: &Patch) -> (usize, usize) {
-        let pixel = patch.pixel as usize;
-        (self.roi.u + pixel % self.roi.width, self.roi.v + pixel / self.roi.width)
-    }
-}
-
-/// Gives every patch of every view its fringe order, or refuses it: [`Pipeline::finish`] adds these to the phases, of which only what is
-/// certain is left: orders that lead any other by at least `margin`. All views must show the same instant; cameras that differ by more
-/// than `most` contradict the calibration. The result does not depend on
-/// threads.
+/// Gives every patch of every view its fringe order, or refuses it: [`Pipeline::finish`] adds these to the phases, of
+/// which only what is certain is left: orders that lead any other by at least `margin`. All views must show the same
+/// instant; cameras that differ by more than `most` contradict the calibration. The result does not depend on the
+/// number of threads.
 ///
 /// # Errors
 ///
@@ -161,20 +69,20 @@ pub fn solve(views: &mut [View<'_>], margin: f32, most: MostDifference) -> Resul
     let start = Instant::now();
     let all: Vec<Patches> =
         views.iter_mut().map(|view| std::mem::take(&mut view.prepared.orders.patches)).collect();
-    let (results, said) = {
+    let (results, verdict) = {
         let scenes = all.into_par_iter().enumerate();
-        let scenes: Vec<Scene<'_>> = scenes.map(|(view, patches)| scene(views, view, patches)).collect();
+        let scenes: Vec<Scene<'_>> = scenes.map(|(view, patches)| Scene::new(views, view, patches)).collect();
         let (found, turned) = label_all(&scenes, most);
-        let said = turned.map_or(Ok(()), |turned| Err(turned.message(views, most)));
+        let verdict = turned.map_or(Ok(()), |turned| Err(turned.message(views, most)));
         let results: Vec<Found> =
             scenes.into_iter().zip(found).map(|(scene, x)| (scene.patches, x.0, x.1)).collect();
-        (results, said)
+        (results, verdict)
     };
-    let margin = if said.is_ok() { margin } else { f32::INFINITY };
+    let margin = if verdict.is_ok() { margin } else { f32::INFINITY };
     views.par_iter_mut().zip(results).for_each(|(view, found)| keep(view.prepared, found, margin));
     let share = start.elapsed() / views.len().max(1) as u32;
     views.iter_mut().for_each(|view| view.prepared.add_time("order", share));
-    said
+    verdict
 }
 
 /// The whole turns that make the phases of each patch of a view absolute, and by how much these lead any other.
@@ -183,7 +91,7 @@ type Turns = (Vec<i32>, Vec<f32>);
 /// The same with the patches.
 type Found = (Patches, Vec<i32>, Vec<f32>);
 
-/// The turns of each view, and the camera that contradicts the others, if there is one.
+/// The turns of each view, and the camera that differs most, if the cameras contradict each other.
 fn label_all(scenes: &[Scene<'_>], most: MostDifference) -> (Vec<Turns>, Option<Turned>) {
     let mut fields: Vec<Field<'_>> =
         (0..scenes.len()).into_par_iter().map(|i| Field::new(scenes, i)).collect();
@@ -199,14 +107,15 @@ fn label_all(scenes: &[Scene<'_>], most: MostDifference) -> (Vec<Turns>, Option<
     (fields.into_iter().map(of).collect(), turned)
 }
 
-/// At first nobody knows what hides what, and by how much the cameras differ; then they are asked again.
+/// The two passes. The first gives an estimate of what hides what, and of the differences between cameras; the second
+/// uses both.
 fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>], most: MostDifference) -> Option<Turned> {
     let patches: usize = scenes.iter().map(|scene| scene.patches.all.len()).sum();
-    let none = vec![vec![Differences::NONE; scenes.len().div_ceil(LANES)]; scenes.len()];
+    let none = vec![vec![Differences::default(); scenes.len().div_ceil(LANES)]; scenes.len()];
     let mut known = OrderTable { turns: vec![NO_ORDER; patches + BEYOND], differences: none };
     for first in [true, false] {
         fields.par_iter_mut().for_each(|field| {
-            evidence::ask(field, scenes, &known, first);
+            evidence::collect(field, scenes, &known, first);
             field.graph.infer();
         });
         if first {
@@ -220,55 +129,6 @@ fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>], most: MostDiff
         }
     }
     Turned::most(&known.differences, most)
-}
-
-fn scene<'a>(views: &'a [View<'_>], number: usize, patches: Patches) -> Scene<'a> {
-    let view = &views[number];
-    let prepared = &*view.prepared;
-    let pair = view.triangulator.pair();
-    let light: f32 = patches.all.iter().map(|patch| prepared.light_dn(patch.pixel as usize)).sum();
-    Scene {
-        head: view.head,
-        towards: towards(pair),
-        roi: prepared.roi,
-        projection: Projection::new(
-            &prepared.table,
-            number,
-            views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi)),
-        ),
-        votes: votes(&patches, prepared, pair),
-        light_dn: light / patches.all.len().max(1) as f32,
-        patches,
-    }
-}
-
-/// Sign of the projected phase's change with the distance from the camera.
-fn towards(pair: &CameraProjector) -> f32 {
-    let middle = Point3::from((Vector3::from(pair.volume_min_m) + Vector3::from(pair.volume_max_m)) / 2.0);
-    let from = pair.camera.centre();
-    let cast = |distance: f64| {
-        let at = middle + (middle - from).normalize() * distance;
-        pair.projector.project(&at).map_or(0.0, |[column, _]| pair.pattern.phase(column))
-    };
-    (cast(0.01) - cast(-0.01)).signum() as f32
-}
-
-/// The orders that marker pixels give their patches: patch, order, pixels.
-fn votes(patches: &Patches, prepared: &UnwrappedFrame, pair: &CameraProjector) -> Vec<(u32, i32, u32)> {
-    let mut votes: BTreeMap<(u32, i32), u32> = BTreeMap::new();
-    for v in 0..prepared.marker.height() {
-        for run in prepared.runs().row(v) {
-            let (marker, phase) =
-                (&prepared.marker.row(v)[run.columns()], &prepared.absolute.row(v)[run.columns()]);
-            each_not_0(marker, |i| {
-                let Some(patch) = patches.lookup.node(run.start() + i, v) else { return };
-                // On the marker's core the wrapped phase is small: the nearest whole turn is the patch's own.
-                let order = pair.markers[usize::from(marker[i] - 1)] as i32 - (phase[i] / TAU).round() as i32;
-                *votes.entry((patch, order)).or_default() += 1;
-            });
-        }
-    }
-    votes.into_iter().map(|((patch, order), n)| (patch, order, n)).collect()
 }
 
 /// Keeps the orders of a view's patches.

@@ -1,24 +1,24 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the other cameras see at places of a view, and how its phase differs from the one expected: eight places with eight
-//! cameras at once.
+//! What the other cameras see at places of a view, and how its phase differs from the one expected: eight places with
+//! eight cameras at once.
 //!
-//! All cameras photograph the same instant. A surface that one of them claims must look right to each of the others: at the pixel where
-//! it would be seen there is the same surface, or something before it. Places are compared by the phase of the other camera's own
-//! projector: the phase that it casts on the place against the one that is seen.
+//! All cameras photograph the same instant. A surface that one of them claims must look right to each of the others:
+//! at the pixel where it would be seen there is the same surface, or something before it. Places are compared by the
+//! phase of the other camera's own projector: the phase that it casts on the place against the one that is seen.
 //!
-//! What a camera has there lies anywhere in memory. So the cells of all are asked before anything is decided by one of them, and
-//! then the pixels of those that need it: while the processor waits for one it fetches the others.
+//! What a camera has there lies anywhere in memory. So the cells of all cameras are loaded before anything is decided
+//! by one of them, and then the pixels of those that need it: while the processor waits for one it fetches the others.
 
-use super::Scene;
 use super::lookup::{CellContent, CellLanes, CellLookup};
 use super::patches::CELL_PX;
 use super::projection::{LANES, Projected, Ray};
+use super::scene::Scene;
 use crate::kernels::fast_round::floor;
 use crate::kernels::{prefetch, simd};
 use std::f32::consts::TAU;
 use std::hint::select_unpredictable;
 
-/// Places that are worked on at once.
+/// Places of one view that are worked on at once.
 pub const PLACES: usize = 8;
 
 /// How the nodes of a block's cameras are numbered among those of all views.
@@ -31,7 +31,7 @@ pub struct Numbers {
 }
 
 impl Numbers {
-    /// The number that stands for nothing that could be said.
+    /// The number that stands for no observation.
     #[inline(always)]
     pub fn nothing(&self) -> u32 {
         self.all
@@ -54,33 +54,22 @@ pub struct Observed {
 }
 
 impl Observed {
-    /// Of a place that was not looked at.
+    /// The observation before a place is looked at.
     pub const NONE: Self = Self { node: [u32::MAX; LANES], ahead: [0.0; LANES] };
 }
 
-/// Which pixels of their cells the cameras of a block have to be asked for, where they have to be asked closely.
-#[derive(Debug, Clone, Copy)]
+/// The pixels of their cells that the cameras of a block would see a place at, for [`see_closely`].
+#[derive(Debug, Clone, Copy, Default)]
 pub struct Pixels {
     /// What each cell is: [`CellLanes::node`].
     kind: [u32; LANES],
     /// The column that the place is in or behind.
     column: [u32; LANES],
-    /// How far behind, columns.
+    /// How far behind that column, in columns.
     behind: [f32; LANES],
     /// The column that is nearest; that behind the cell's last is the next cell's.
     nearest: [u32; LANES],
     row: [u32; LANES],
-}
-
-impl Pixels {
-    /// None yet.
-    pub const NONE: Self = Self {
-        kind: [0; LANES],
-        column: [0; LANES],
-        behind: [0.0; LANES],
-        nearest: [0; LANES],
-        row: [0; LANES],
-    };
 }
 
 /// Some views, how their patches are numbered, and their cells.
@@ -117,11 +106,12 @@ impl<'a> Observations<'a> {
             blocks: blocks.collect(),
             spots: [Projected::NONE; PLACES],
             cells: [CellLanes::UNSEEN; PLACES],
-            pixels: [Pixels::NONE; PLACES],
+            pixels: [Pixels::default(); PLACES],
         }
     }
 
-    /// What the cameras of a block have at up to [`PLACES`] places of a view. Returns the number that stands for [nothing](Numbers::nothing).
+    /// What the cameras of a block have at up to [`PLACES`] places of a view. Returns the number that stands for
+    /// [nothing](Numbers::nothing).
     #[inline(never)]
     pub fn at(&mut self, view: usize, block: usize, rays: &[Ray], sights: &mut [Observed; PLACES]) -> u32 {
         let Self { scenes, blocks, spots, cells, pixels } = self;
@@ -140,9 +130,9 @@ impl<'a> Observations<'a> {
                 }
                 let places = cells.iter().zip(&*spots).zip(&mut *pixels).zip(&mut *sights).enumerate();
                 for (k, (((cells, spots), pixels), sight)) in places.take(rays.len()) {
-                    let ask;
-                    (*sight, *pixels, ask) = glance(cells, spots, numbers);
-                    vague |= u64::from(ask) << (k * LANES);
+                    let unclear;
+                    (*sight, *pixels, unclear) = glance(cells, spots, numbers);
+                    vague |= u64::from(unclear) << (k * LANES);
                 }
             },
         );
@@ -166,40 +156,41 @@ impl<'a> Observations<'a> {
     }
 }
 
-/// What the cameras of a block have at a place, which each sees in one of `cells`; which pixels these are; a bit for each that has to
-/// be asked [`see_closely`] for them. Nothing here depends on a branch: what the next camera has is as good as chance.
+/// What the cameras of a block have at a place, which each sees in one of `cells`; which pixels these are; and a bit
+/// for each camera whose cell does not suffice, so that [`see_closely`] decides. Nothing here depends on a branch: no
+/// branch could be predicted.
 #[inline(always)]
 fn glance(cells: &CellLanes<LANES>, spots: &Projected, numbers: &Numbers) -> (Observed, Pixels, u32) {
     // Values that may be written meanwhile would be loaded where they are chosen, by a branch.
     let (Numbers { first, .. }, Projected { right, down, cast, .. }) = (*numbers, *spots);
     let (nothing, past) = (numbers.nothing(), numbers.past());
-    let (mut sights, mut pixels, mut ask) = (Observed::NONE, Pixels::NONE, [0u32; LANES]);
+    let (mut sights, mut pixels, mut unclear) = (Observed::NONE, Pixels::default(), [0u32; LANES]);
     for i in 0..LANES {
         let kind = cells.node(i);
         let ahead = cells.phase(i, right[i], down[i]) - cast[i];
-        // Beside the object pixels are asked that have their columns in the middle, too: the last half is the next cell's.
+        // Beside the object the nearest pixel decides, along columns too: the last half column is the next cell's.
         // Where no such cell is seen they are any numbers.
         let column = floor(right[i]);
         let nearest = floor(right[i] + 0.5) as u32;
         let row = floor(down[i] + 0.5).max(0) as u32;
         let is_near = kind == CellContent::NEAR;
         let is_past = is_near & !cells.is_near(i, nearest, row) | (kind == CellContent::FAR);
-        // Cells of no node have no phase. What has to be asked is any number.
+        // Cells of no node have no phase. Where the cell does not suffice, this is any number.
         let node = if ahead.is_nan() { nothing } else { first[i].wrapping_add(kind) };
         sights.node[i] = if is_past { past } else { node };
         sights.ahead[i] = ahead;
         let is_rim = (CellContent::RIM..CellContent::NEAR).contains(&kind);
-        ask[i] = u32::from(is_rim | is_near & (nearest >= CELL_PX as u32)) << i;
+        unclear[i] = u32::from(is_rim | is_near & (nearest >= CELL_PX as u32)) << i;
         pixels.kind[i] = kind;
         pixels.column[i] = column as u32;
         pixels.behind[i] = right[i] - column as f32;
         pixels.nearest[i] = nearest;
         pixels.row[i] = row;
     }
-    (sights, pixels, ask.iter().fold(0, |all, bit| all | bit))
+    (sights, pixels, unclear.iter().fold(0, |all, bit| all | bit))
 }
 
-/// Asks for the memory that [`see_closely`] will look at.
+/// Prefetches the memory that [`see_closely`] will read.
 #[inline(always)]
 fn expect(lookup: &CellLookup, pixels: &Pixels, i: usize) {
     if let Some(row) = lookup.rim(pixels.kind[i], pixels.row[i] as usize) {
@@ -207,8 +198,8 @@ fn expect(lookup: &CellLookup, pixels: &Pixels, i: usize) {
     }
 }
 
-/// The same of one camera at outlines and steps, where pixels have to be asked. `cast`: the phase that is cast on the place. What is
-/// there is as good as chance, too: no place may hold up the next while it waits for memory.
+/// The same for one camera at outlines and steps, by the pixels themselves. `cast`: the phase that is cast on the
+/// place. There is no branch that depends on the pixel: no place may hold up the next while it waits for memory.
 #[inline(always)]
 fn see_closely(
     lookup: &CellLookup,
@@ -222,7 +213,7 @@ fn see_closely(
     let (of, here, next) = (rim.of[column], rim.phase[column], rim.phase[column + 1]);
     let (near, named) = (rim.is_near(pixels.nearest[i]), numbers.first[i].wrapping_add(rim.node(of)));
     let is_beside = (of == 0) & !rim.is_object(column);
-    // What is rare is asked first: it can be told beforehand.
+    // This is rare, so that the branch is predicted well.
     if pixels.nearest[i] >= CELL_PX as u32 && is_beside {
         return None;
     }
@@ -234,8 +225,8 @@ fn see_closely(
     Some((select_unpredictable((of == 0) | ahead.is_nan(), none, named), ahead))
 }
 
-/// What it has at a place in a cell's last column, none of the object's, where the next cell has to be asked whether there is
-/// background.
+/// What a camera has at a place in a cell's last column that is not the object's: the next cell decides whether there
+/// is background.
 fn past(lookup: &CellLookup, cell: u32, pixels: &Pixels, i: usize, numbers: &Numbers) -> u32 {
     let [u, v] = [pixels.nearest[i], pixels.row[i]].map(|x| x as usize);
     let near = lookup.is_near(cell, u, v);
@@ -257,7 +248,8 @@ mod tests {
     /// Each camera's nodes by its own numbers.
     const OWN: Numbers = Numbers { first: [0; LANES], all: 1 << 20 };
 
-    /// A camera that sees a plane of 50 x 40 px, all but the last four rows of it with a phase, in a region of 100 x 80.
+    /// A camera that sees a plane of 50 x 40 px, all but the last four rows of it with a phase, in a region of 100 x
+    /// 80.
     fn view() -> Patches {
         let (w, h) = (100, 80);
         let (mut phase, mut object) = (Plane::filled(w, h, f32::NAN), Plane::filled(w, h, 0));
@@ -281,8 +273,8 @@ mod tests {
         spots.cast[5] = 3.0;
         let mut cells = CellLanes::UNSEEN;
         cells.set(5, view.lookup.at(spots.cell[5]));
-        let (Observed { node, ahead }, pixels, ask) = glance(&cells, &spots, &OWN);
-        if ask >> 5 & 1 == 0 {
+        let (Observed { node, ahead }, pixels, unclear) = glance(&cells, &spots, &OWN);
+        if unclear >> 5 & 1 == 0 {
             return (node[5], ahead[5]);
         }
         let past = || (past(&view.lookup, spots.cell[5], &pixels, 5, &OWN), 0.0);
@@ -317,8 +309,8 @@ mod tests {
             (spots.right[2], spots.down[2], spots.cast[2]) = (place, place, place);
             let mut cells = CellLanes::UNSEEN;
             cells.set(2, view.lookup.at(spots.cell[2]));
-            let (sights, _, ask) = glance(&cells, &spots, &OWN);
-            assert_eq!((sights.node[2], ask), (OWN.nothing(), 0), "{place}");
+            let (sights, _, unclear) = glance(&cells, &spots, &OWN);
+            assert_eq!((sights.node[2], unclear), (OWN.nothing(), 0), "{place}");
         }
     }
 }

@@ -1,37 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The fringe orders of a camera alone, which no other camera can confirm: the best path of links from each patch to a marker.
+//! The fringe orders of a camera alone, which no other camera can confirm: the best path of links from each patch to a
+//! marker.
 //!
-//! Margins of all costs together dilute with the distance from the marker; the weakest link of the best path does not. On a seam where two
-//! surfaces touch, single links look strong by chance: a link counts as far as a way around it, through the patches beside it,
-//! says the same.
+//! Margins of all costs together dilute with the distance from the marker; the weakest link of the best path does not.
+//! On a seam where two surfaces touch, single links look strong by chance: a link counts as far as a way around it,
+//! through the patches beside it, confirms it.
 
 use super::inference::Field;
 use super::links::Link;
-use std::cmp::Ordering;
+use std::cmp::Reverse;
 use std::collections::BinaryHeap;
-
-/// A patch that is reached with a label.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Reached {
-    strength: f32,
-    patch: u32,
-    label: i32,
-}
-
-impl Eq for Reached {}
-
-impl Ord for Reached {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let by_place = || (other.patch, other.label).cmp(&(self.patch, self.label));
-        self.strength.total_cmp(&other.strength).then_with(by_place)
-    }
-}
-
-impl PartialOrd for Reached {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
 
 /// Labels and margins: how much stronger the best path to a marker is than any to another label.
 pub fn infer(field: &mut Field<'_>) {
@@ -40,10 +18,12 @@ pub fn infer(field: &mut Field<'_>) {
     // The best label of each patch, and the strength of the second.
     let mut best: Vec<Option<(i32, f32)>> = vec![None; n];
     let mut second: Vec<Option<f32>> = vec![None; n];
-    let mut heap: BinaryHeap<Reached> = BinaryHeap::new();
-    heap.extend(field.votes().map(|(patch, label, cost)| Reached { strength: cost, patch, label }));
-    while let Some(Reached { strength: reached, patch, label }) = heap.pop() {
-        let i = patch as usize;
+    // The strongest first, then the first patch. Bits of positive numbers are ordered as the numbers are.
+    let entry = |strength: f32, patch: u32, label: i32| (strength.to_bits(), Reverse(patch), Reverse(label));
+    let mut heap: BinaryHeap<_> =
+        field.votes().map(|(patch, label, strength)| entry(strength, patch, label)).collect();
+    while let Some((bits, Reverse(patch), Reverse(label))) = heap.pop() {
+        let (reached, i) = (f32::from_bits(bits), patch as usize);
         match best[i] {
             None => best[i] = Some((label, reached)),
             Some((known, _)) if known != label && second[i].is_none() => second[i] = Some(reached),
@@ -54,7 +34,7 @@ pub fn infer(field: &mut Field<'_>) {
             let (other, label) = if a == patch { (b, label + turns) } else { (a, label - turns) };
             let strength = reached.min(strength[k as usize]);
             if strength > 0.0 && second[other as usize].is_none() {
-                heap.push(Reached { strength, patch: other, label });
+                heap.push(entry(strength, other, label));
             }
         }
     }
@@ -66,7 +46,7 @@ pub fn infer(field: &mut Field<'_>) {
     }
 }
 
-/// The strength of a link as far as a way around it says the same.
+/// The strength of a link as far as a way around it confirms it.
 fn supported(field: &Field<'_>, link: &Link) -> f32 {
     let from = |patch: u32| {
         field.graph.links_of(patch as usize).iter().map(move |&k| {

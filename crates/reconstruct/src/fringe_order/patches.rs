@@ -1,24 +1,24 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A view's surface in patches: the nodes of the graph in which fringe orders are sought.
 //!
-//! The image is cut into cells of 8 x 8 px. The phases of a cell are unwrapped along its carrier, and pixels that continue each
-//! other are one patch. Most cells are filled by one smooth patch, a plane of phases.
+//! The image is cut into cells of 8 x 8 px. The phases of a cell are unwrapped along its carrier, and pixels that
+//! continue each other are one patch. Most cells are filled by one smooth patch, a plane of phases.
 
 use super::links::Link;
-use super::lookup::{self, CellContent, CellLookup, Rim};
+use super::lookup::{self, CellContent, CellLookup, RimRow};
 use crate::base::image::Plane;
 use crate::kernels::bit_rows::{self, WORD, bits_where};
 use crate::kernels::fast_round::nearest;
 use crate::kernels::pixel_runs::Runs;
 use crate::kernels::simd;
-use crate::kernels::subpixel::part;
+use crate::kernels::subpixel::{part, put};
 use std::f32::consts::TAU;
 
 /// Side of a cell, px.
 pub const CELL_PX: usize = 8;
 
-/// Within a cell, steps this far from the carrier's, or from row to row, still continue, rad. Half of it cuts steep surfaces up, twice
-/// as much joins surfaces that touch.
+/// Within a cell, pixels whose step differs from the carrier's by less are one patch, rad; the same from row to row.
+/// Half as much cuts steep surfaces up, twice as much joins surfaces that touch.
 const INNER_RAD: f32 = 0.8;
 
 /// All pixels of a cell, a bit each, row by row.
@@ -40,7 +40,7 @@ pub struct Patch {
     pub pixel: u32,
     /// Phase of that pixel, rad, unwrapped within its cell.
     pub phase: f32,
-    /// Its pixels.
+    /// How many pixels it has.
     pub size: u32,
     /// Its cell, row by row.
     pub cell: u32,
@@ -55,7 +55,7 @@ pub struct Patch {
 pub struct Surface<'a> {
     /// Wrapped phase, rad; NaN where it is unknown. It becomes the phase unwrapped within each cell.
     pub phase: &'a mut Plane<f32>,
-    /// Local fringe period, px.
+    /// Local fringe period Pm, px.
     pub period: &'a Plane<f32>,
     /// The object, whether or not it has a phase there.
     pub object: &'a Runs,
@@ -68,15 +68,15 @@ pub struct Surface<'a> {
 pub struct Patches {
     /// Columns of the region of interest, px.
     pub width: usize,
-    /// Cells in a row.
+    /// Cells in a row of the region of interest.
     pub columns: usize,
     /// The patches, cell by cell.
     pub all: Vec<Patch>,
     /// Where surfaces continue from one to another.
     pub links: Vec<Link>,
-    /// What each cell has.
+    /// The patches of each cell, row by row.
     pub(super) grid: Vec<Spot>,
-    /// The cells at a glance.
+    /// The cells as the other cameras look them up.
     pub lookup: CellLookup,
 }
 
@@ -112,7 +112,7 @@ impl Patches {
             #[inline(always)]
             || {
                 let (mut object, mut pairs) = (Object::new(w), Vec::new());
-                // Rows touch the next one, which is in the cache yet.
+                // Links need the next row of cells: it is cut first, while both are in the cache.
                 for row in 0..=rows {
                     if row < rows {
                         object.mark(surface.object, row);
@@ -151,7 +151,7 @@ impl Patches {
             write(surface.phase, left, top, &phase);
             let plane = plane(&phase);
             self.add(ALL, (column, row), &phase, &right, &down);
-            // Noise is less in all of its pixels than in one.
+            // The plane through all pixels has less noise than one pixel.
             let (u, v) = (MIDDLE % CELL_PX, MIDDLE / CELL_PX);
             self.all[first].phase = plane.at(u as f32, v as f32);
             self.grid[row * self.columns + column] = Spot { first: first as u32, count: 1 };
@@ -164,23 +164,20 @@ impl Patches {
     /// The patches of a cell that no smooth surface fills.
     #[inline(never)]
     fn cut_up(&mut self, surface: &mut Surface<'_>, (column, row): (usize, usize), cell: &Cell) {
+        let top = row * CELL_PX;
         let Cell { phase, period, right, down, object } = cell;
         let first = self.all.len();
-        write(surface.phase, column * CELL_PX, row * CELL_PX, phase);
+        write(surface.phase, column * CELL_PX, top, phase);
         each_patch(phase, right, down, |mask| self.add(mask, (column, row), phase, right, down));
         let count = self.all.len() - first;
         self.grid[row * self.columns + column] = Spot { first: first as u32, count: count as u32 };
-        let mut rim = Rim {
-            object: *object,
-            first: first as u32,
-            of: [0; CELL_PX * CELL_PX],
-            phase: [[f32::NAN; CELL_PX + 1]; CELL_PX],
-        };
-        for (v, (line, phase)) in rim.phase.iter_mut().zip(phase).enumerate() {
+        let mut rim = object.to_le_bytes().map(|object| RimRow::new(first as u32, object));
+        for (v, (row, phase)) in rim.iter_mut().zip(phase).enumerate() {
+            let line = &mut row.phase;
             line[..CELL_PX].copy_from_slice(phase);
             // The next cell's phases are not unwrapped with this one's.
             let last = CELL_PX - 1;
-            let (u, v) = ((column + 1) * CELL_PX, row * CELL_PX + v);
+            let (u, v) = ((column + 1) * CELL_PX, top + v);
             if v < surface.phase.height() && u < surface.phase.width() {
                 let carrier =
                     surface.sign * 2.0 * TAU / (period[v % CELL_PX][last] + surface.period.at(u, v));
@@ -189,10 +186,10 @@ impl Patches {
             }
         }
         for (i, patch) in self.all[first..].iter().enumerate() {
-            let mut rest = patch.mask;
-            while rest != 0 {
-                rim.of[rest.trailing_zeros() as usize] = i as u8 + 1;
-                rest &= rest - 1;
+            for (row, mask) in rim.iter_mut().zip(patch.mask.to_le_bytes()) {
+                for u in (0..CELL_PX).filter(|u| mask >> u & 1 != 0) {
+                    row.of[u] = i as u8 + 1;
+                }
             }
         }
         self.lookup.set_rim(column, row, rim);
@@ -234,11 +231,10 @@ impl Patches {
                 }
             }
             for (v, add) in (top..phase.height()).zip(&add) {
-                let row = &mut phase.row_mut(v)[left..];
-                match row.first_chunk_mut::<CELL_PX>() {
-                    Some(to) => to.iter_mut().zip(add).for_each(|(to, add)| *to += add),
-                    None => row.iter_mut().zip(add).for_each(|(to, add)| *to += add),
-                }
+                let row = phase.row_mut(v);
+                let mut sum: [f32; CELL_PX] = part(row, left, f32::NAN);
+                sum.iter_mut().zip(add).for_each(|(sum, add)| *sum += add);
+                put(row, left, &sum);
             }
         }
     }
@@ -258,11 +254,7 @@ pub(super) fn block(plane: &Plane<f32>, left: usize, top: usize) -> Block {
 #[inline(always)]
 fn write(plane: &mut Plane<f32>, left: usize, top: usize, values: &Block) {
     for (v, values) in (top..plane.height()).zip(values) {
-        let row = &mut plane.row_mut(v)[left..];
-        match row.first_chunk_mut::<CELL_PX>() {
-            Some(to) => *to = *values,
-            None => row.iter_mut().zip(values).for_each(|(to, value)| *to = *value),
-        }
+        put(plane.row_mut(v), left, values);
     }
 }
 
@@ -289,12 +281,12 @@ fn unwrap(phase: &mut Block, period: &Block, sign: f32) {
     }
 }
 
-/// Steps to the right beyond the carrier's, and steps down, of a cell's pixels, 0 where these are from another cell; and the largest of
-/// all, NaN where one is not known.
+/// Steps to the right beyond the carrier's, and steps down, of a cell's pixels, 0 where these are from another cell;
+/// and the largest of all, NaN where one is not known.
 #[inline(always)]
 fn steps(phase: &Block, period: &Block, sign: f32) -> (Block, Block, f32) {
     let (mut right, mut down) = ([[0.0; CELL_PX]; CELL_PX], [[0.0; CELL_PX]; CELL_PX]);
-    // Bits of numbers without a sign are ordered as these are, and NaN is above all.
+    // Positive floats are ordered as their bits are, with NaN above all.
     let mut largest = [0u32; CELL_PX];
     let turn = sign * 2.0 * TAU;
     for v in 0..CELL_PX {
@@ -321,13 +313,13 @@ fn steps(phase: &Block, period: &Block, sign: f32) -> (Block, Block, f32) {
 /// Which pixels of a row of cells are the object's, a bit for each.
 #[derive(Debug)]
 struct Object {
-    /// Row by row.
+    /// A bit for each pixel, row by row.
     bits: Vec<u64>,
     words: usize,
 }
 
 impl Object {
-    /// For rows of so many pixels.
+    /// For a region of interest of `width` pixels.
     fn new(width: usize) -> Self {
         let words = width.div_ceil(WORD);
         Self { bits: vec![0; CELL_PX * words], words }
@@ -371,7 +363,8 @@ fn bits_of_cell(is: impl Fn(usize, usize) -> bool) -> u64 {
     )
 }
 
-/// All pixels that hang together with some: `right` and `down` tell which continue the one to their left and above.
+/// All pixels that are connected with `seed`: `right` and `down` have a bit for each pixel that continues the one to
+/// its left and above it.
 #[inline(always)]
 fn flood(seed: u64, right: u64, down: u64) -> u64 {
     let mut mask = seed;
@@ -388,7 +381,7 @@ fn flood(seed: u64, right: u64, down: u64) -> u64 {
 /// The pixel of a patch that is nearest to the cell's middle, the first of several.
 #[inline(always)]
 fn middle(mask: u64) -> usize {
-    /// Pixels within so many half steps of the middle, counted along rows and columns.
+    /// The pixels of a cell by their distance from its middle, along rows and columns together.
     const RINGS: [u64; 8] = {
         let mut rings = [0; 8];
         let mut at = 0;
@@ -404,7 +397,7 @@ fn middle(mask: u64) -> usize {
     (ring.trailing_zeros() as usize).min(CELL_PX * CELL_PX - 1)
 }
 
-/// Calls `each` with the pixels of a cell that hang together, patch by patch.
+/// Calls `each` with the connected pixels of a cell, patch by patch.
 #[inline(always)]
 fn each_patch(phase: &Block, right_steps: &Block, down_steps: &Block, mut each: impl FnMut(u64)) {
     let mut rest = bits_of_cell(
@@ -441,6 +434,7 @@ fn mean(mask: u64, values: &Block) -> f32 {
 /// The plane of a cell that one patch fills.
 #[inline(always)]
 fn plane(phase: &Block) -> lookup::Plane {
+    /// Rows and columns of half a cell, px.
     const HALF: usize = CELL_PX / 2;
     let mut halves = [[0f32; CELL_PX]; 2];
     for (v, row) in phase.iter().enumerate() {
@@ -514,7 +508,7 @@ mod tests {
         (patches, turns)
     }
 
-    /// How many patches hang together with the first.
+    /// How many patches are linked with the first, directly or not.
     fn joined(patches: &Patches) -> usize {
         let mut of: Vec<usize> = (0..patches.all.len()).collect();
         loop {
@@ -545,7 +539,8 @@ mod tests {
             prop_assert_eq!(patches.all.len(), W.div_ceil(CELL_PX) * H.div_ceil(CELL_PX));
         }
 
-        // A step of 0.98 rad between two planes that do not bend is as likely on one surface as between two; nearer ones are links.
+        // A step of 0.98 rad between two planes that do not bend is as likely on one surface as between two; nearer
+        // ones are links.
         #[test]
         fn no_link_leads_over_a_depth_step(step in 1.0f32..5.28, tilt in -0.1f32..0.1, at in 40usize..60) {
             let mut truth = surface(tilt, 0.0);

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where all other cameras would see a place on a line of sight of one view, and which phase their projectors cast on it: eight
-//! cameras at once.
+//! Where all other cameras would see a place on a line of sight of one view, and which phase their projectors cast on
+//! it: eight cameras at once.
 //!
-//! A line of sight of the view runs from its centre `c` along `d`, at inverse depth `w` through `c + d / w`. In the axes of
-//! another device that is `a + b / w`, where `a` is the same for all lines of the view and `b` is `d` turned. Only the
-//! quotient of the coordinates matters, so `w a + b` does as well and there is nothing to divide by `w`. The inverse
-//! depth of a fringe order is a polynomial that [`RayTable`] has. Cameras and projectors lie side by side in lanes.
+//! A line of sight of the view runs from its centre `c` along `d`, at inverse depth `w` through `c + d / w`. In the
+//! axes of another device that is `a + b / w`, where `a` is the same for all lines of the view and `b` is `d` turned.
+//! Only the quotient of the coordinates matters, so `w a + b` does as well and there is nothing to divide by `w`. The
+//! inverse depth of a fringe order is a polynomial that [`RayTable`] has. Cameras and projectors lie side by side in
+//! lanes.
 
 use super::lookup::{BACKGROUND_PX, PAD_PX, padded};
 use super::patches::CELL_PX;
@@ -16,7 +17,7 @@ use crate::triangulate::camera_projector::CameraProjector;
 use crate::triangulate::ray_table::RayTable;
 use nalgebra::{Point3, Vector3};
 
-/// Cameras that are worked on at once.
+/// Cameras that are worked on at once, one in each lane of a vector.
 pub const LANES: usize = 8;
 
 type Lanes = [f32; LANES];
@@ -34,7 +35,7 @@ pub struct Projected {
     pub cast: Lanes,
 }
 
-/// No cell.
+/// The cell of a place that a camera does not see.
 pub const NOWHERE: u32 = u32::MAX;
 
 /// How to get from a view to a place in the volume.
@@ -47,13 +48,13 @@ pub struct Ray {
 }
 
 impl Projected {
-    /// None.
+    /// A place that no camera sees.
     pub const NONE: Self =
         Self { cell: [NOWHERE; LANES], right: [0.0; LANES], down: [0.0; LANES], cast: [f32::NAN; LANES] };
 }
 
 /// Devices side by side: what [`Device::project`] does, for lines of sight of one view.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 struct Devices {
     /// Rows of the rotation from the world.
     turn: [[Lanes; 3]; 3],
@@ -68,17 +69,6 @@ struct Devices {
 }
 
 impl Devices {
-    fn new() -> Self {
-        Self {
-            turn: [[[0.0; LANES]; 3]; 3],
-            centre: [[0.0; LANES]; 3],
-            focal: [[0.0; LANES]; 2],
-            principal: [[0.0; LANES]; 2],
-            distortion: [[0.0; LANES]; 5],
-            slope: [[0.0; LANES]; 3],
-        }
-    }
-
     fn set(&mut self, lane: usize, device: &Device, view_centre: &Point3<f64>) {
         let turn = device.world_from_device.isometry().rotation.to_rotation_matrix().inverse();
         let centre: Vector3<f64> = turn * (view_centre - device.centre());
@@ -89,11 +79,11 @@ impl Devices {
             self.centre[row][lane] = centre[row] as f32;
         }
         let lens = &device.lens;
-        self.focal = set(self.focal, lane, [lens.fx, lens.fy]);
-        self.principal = set(self.principal, lane, [lens.cx, lens.cy]);
-        self.distortion = set(self.distortion, lane, lens.distortion);
+        set(&mut self.focal, lane, [lens.fx, lens.fy]);
+        set(&mut self.principal, lane, [lens.cx, lens.cy]);
+        set(&mut self.distortion, lane, lens.distortion);
         let [k1, k2, _, _, k3] = lens.distortion;
-        self.slope = set(self.slope, lane, [3.0 * k1, 5.0 * k2, 7.0 * k3]);
+        set(&mut self.slope, lane, [3.0 * k1, 5.0 * k2, 7.0 * k3]);
     }
 
     /// One coordinate of a place in the axes of a device, times the inverse depth `w`.
@@ -103,8 +93,8 @@ impl Devices {
         w * self.centre[row][i] + (x[i] * d[0] + y[i] * d[1] + z[i] * d[2])
     }
 
-    /// Column and row of the place at inverse depth `w` of the line of sight along `d`; no number behind the device, where
-    /// its lens folds over, and in lanes without a device.
+    /// Column and row of the place at inverse depth `w` of the line of sight along `d`; no number behind the device,
+    /// where its lens folds over, and in lanes without a device.
     #[inline(always)]
     fn project(&self, d: [f32; 3], w: f32) -> [Lanes; 2] {
         let mut out = [[0.0; LANES]; 2];
@@ -128,15 +118,14 @@ impl Devices {
     }
 }
 
-fn set<const N: usize>(mut lanes: [Lanes; N], lane: usize, values: [f64; N]) -> [Lanes; N] {
+fn set<const N: usize>(lanes: &mut [Lanes; N], lane: usize, values: [f64; N]) {
     for (lanes, value) in lanes.iter_mut().zip(values) {
         lanes[lane] = value as f32;
     }
-    lanes
 }
 
 /// Some cameras with their projectors.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 struct Block {
     cameras: Devices,
     projectors: Devices,
@@ -150,21 +139,6 @@ struct Block {
     last: [Lanes; 2],
     /// Cells in a row of the padded grid.
     stride: [u32; LANES],
-}
-
-impl Block {
-    fn new() -> Self {
-        let none = [0.0; LANES];
-        Self {
-            cameras: Devices::new(),
-            projectors: Devices::new(),
-            per_column: none,
-            origin: [none; 2],
-            end: [none; 2],
-            last: [none; 2],
-            stride: [0; LANES],
-        }
-    }
 }
 
 /// All other cameras as seen from one view.
@@ -183,7 +157,7 @@ impl<'a> Projection<'a> {
         cameras: impl ExactSizeIterator<Item = (&'b CameraProjector, Roi)> + Clone,
     ) -> Self {
         let centre = cameras.clone().nth(view).map_or_else(Point3::origin, |(pair, _)| pair.camera.centre());
-        let mut blocks = vec![Block::new(); cameras.len().div_ceil(LANES)];
+        let mut blocks = vec![Block::default(); cameras.len().div_ceil(LANES)];
         for (i, (pair, roi)) in cameras.enumerate().filter(|x| x.0 != view) {
             let (block, lane) = (&mut blocks[i / LANES], i % LANES);
             block.cameras.set(lane, &pair.camera, &centre);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Memory that is used again from frame to frame, by whichever thread and camera comes next.
+//! Memory that is used again from frame to frame, by any thread and camera.
 
 use crate::base::image::Plane;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,7 +15,6 @@ impl<T: Default> Pool<T> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
     }
 
-    /// Gives one back.
     pub(crate) fn give(&self, value: T) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).push(value);
     }
@@ -30,7 +29,7 @@ pub(crate) struct PlanePools {
 }
 
 impl PlanePools {
-    /// From now on planes have room for so many pixels at least, of which memory is taken only as they are used: a
+    /// From now on planes have room for this many pixels at least, of which memory is taken only as they are used: a
     /// plane that had to grow with each larger object would be copied to new pages.
     pub(crate) fn make_room(&self, pixels: usize) {
         for room in [&self.floats.room, &self.words.room, &self.bytes.room] {
@@ -48,7 +47,7 @@ pub(crate) struct Planes<T> {
 }
 
 impl<T: Copy + Default> Planes<T> {
-    /// A plane for a stage that writes every value: those that it holds are any.
+    /// A plane for a stage that writes every value: its values are undefined.
     pub(crate) fn take(&self, width: usize, height: usize) -> Plane<T> {
         let mut plane = self.pool.take();
         plane.reserve(self.room.load(Ordering::Relaxed).max(width * height), T::default());
@@ -56,7 +55,6 @@ impl<T: Copy + Default> Planes<T> {
         plane
     }
 
-    /// Gives a plane back.
     pub(crate) fn give(&self, plane: Plane<T>) {
         self.pool.give(plane);
     }

@@ -1,50 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Connected components of a mask.
+//! Connected components of a mask's runs.
 
 use super::pixel_runs::Runs;
-use crate::base::image::Plane;
 
-/// Components of a mask: `label` holds 0 outside and 1.. inside, `area` the pixels of each label (entry 0
-/// unused).
-#[derive(Debug)]
-pub struct Components {
-    /// Label of each pixel.
-    pub label: Plane<u32>,
-    /// Pixels of each label.
-    pub area: Vec<u32>,
-}
-
-/// A component of runs.
+/// A component: runs of neighbouring rows that touch, also at corners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Piece {
-    /// Its pixels.
+    /// Pixels of all its runs.
     pub area: u32,
-    /// First row.
+    /// First row that it is in.
     pub first: u32,
-    /// Last row.
+    /// Last row that it is in.
     pub last: u32,
 }
 
 impl Piece {
-    /// Rows that it spans.
     pub fn rows(&self) -> f32 {
         (self.last - self.first + 1) as f32
     }
-}
-
-/// Labels the 8-connected components of the non-zero pixels of a mask of zeros and ones, in the order of their first
-/// pixel.
-pub fn label(mask: &Plane<u8>) -> Components {
-    let runs = Runs::of(mask);
-    let (piece, pieces) = connect(&runs);
-    let mut label = Plane::filled(mask.width(), mask.height(), 0u32);
-    for v in 0..runs.height() {
-        for place in runs.places(v) {
-            label.row_mut(v)[runs.all()[place].columns()].fill(piece[place] + 1);
-        }
-    }
-    let area = std::iter::once(0).chain(pieces.iter().map(|piece| piece.area)).collect();
-    Components { label, area }
 }
 
 /// The 8-connected components of runs: the component of each run, and the components in the order of their first
@@ -71,20 +44,31 @@ pub fn connect(runs: &Runs) -> (Vec<u32>, Vec<Piece>) {
     }
     // The smallest run is a component's root: its number is known before that of its others.
     let (mut piece, mut pieces) = (vec![0u32; parent.len()], Vec::<Piece>::new());
-    for v in 0..runs.height() {
-        for place in runs.places(v) {
-            let root = find(&mut parent, place as u32) as usize;
-            if root == place {
-                piece[place] = pieces.len() as u32;
-                pieces.push(Piece { area: 0, first: v as u32, last: v as u32 });
-            }
-            piece[place] = piece[root];
-            let piece = &mut pieces[piece[root] as usize];
-            piece.area += runs.all()[place].columns().len() as u32;
-            piece.last = v as u32;
+    for (v, place, run) in runs.each() {
+        let root = find(&mut parent, place as u32) as usize;
+        if root == place {
+            piece[place] = pieces.len() as u32;
+            pieces.push(Piece { area: 0, first: v as u32, last: v as u32 });
         }
+        piece[place] = piece[root];
+        let piece = &mut pieces[piece[root] as usize];
+        piece.area += run.columns().len() as u32;
+        piece.last = v as u32;
     }
     (piece, pieces)
+}
+
+/// The runs of the components that are chosen, by the component of each run and the components, in the order of `runs`.
+pub fn select(runs: &Runs, choose: impl FnOnce(&[u32], &[Piece]) -> Vec<bool>, out: &mut Runs) {
+    let (piece, pieces) = connect(runs);
+    let chosen = choose(&piece, &pieces);
+    out.clear();
+    for v in 0..runs.height() {
+        for place in runs.places(v).filter(|&place| chosen[piece[place] as usize]) {
+            out.push(runs.all()[place]);
+        }
+        out.end_row();
+    }
 }
 
 fn find(parent: &mut [u32], mut x: u32) -> u32 {
@@ -96,25 +80,34 @@ fn find(parent: &mut [u32], mut x: u32) -> u32 {
 }
 
 /// Joins two labels; the smaller root stays.
-fn join(parent: &mut [u32], a: u32, b: u32) -> u32 {
+fn join(parent: &mut [u32], a: u32, b: u32) {
     let (a, b) = (find(parent, a), find(parent, b));
-    let (low, high) = (a.min(b), a.max(b));
-    parent[high as usize] = low;
-    low
+    parent[a.max(b) as usize] = a.min(b);
 }
 
 #[cfg(test)]
 mod tests {
-    use super::label;
+    use super::{Runs, connect};
     use crate::base::image::Plane;
     use proptest::prelude::{prop_assert, prop_assert_eq, proptest};
+
+    /// The number of each pixel's component from 1, 0 beside the mask, and the area of each.
+    fn label(mask: &Plane<u8>) -> (Plane<u32>, Vec<u32>) {
+        let runs = Runs::of(mask);
+        let (piece, pieces) = connect(&runs);
+        let mut label = Plane::filled(mask.width(), mask.height(), 0u32);
+        for (v, place, run) in runs.each() {
+            label.row_mut(v)[run.columns()].fill(piece[place] + 1);
+        }
+        (label, [0].into_iter().chain(pieces.iter().map(|piece| piece.area)).collect())
+    }
 
     proptest! {
         /// Pixels that touch have one label, all others of it are reached over pixels that touch, and numbers rise.
         #[test]
         fn labels_are_those_of_a_flood(bits in proptest::collection::vec(0u8..2, 12 * 9)) {
             let mask = Plane::from_vec(12, 9, bits).expect("108 pixels");
-            let found = label(&mask);
+            let (found, area) = label(&mask);
             let mut flooded = Plane::filled(12, 9, 0u32);
             let mut areas = vec![0u32];
             for start in 0..12 * 9 {
@@ -137,8 +130,8 @@ mod tests {
                     }
                 }
             }
-            prop_assert_eq!(&found.label, &flooded);
-            prop_assert!(found.area == areas);
+            prop_assert_eq!(&found, &flooded);
+            prop_assert!(area == areas);
         }
     }
 
@@ -146,8 +139,8 @@ mod tests {
     fn a_ring_is_one_component_and_its_hole_is_not_labelled() {
         let text = ["..##..#", ".#..#.#", ".#..#..", "..##..#"];
         let data = text.iter().flat_map(|row| row.bytes().map(|b| u8::from(b == b'#'))).collect();
-        let found = label(&Plane::from_vec(7, 4, data).expect("28 pixels"));
-        assert_eq!(found.area, [0, 8, 2, 1]);
-        assert_eq!(found.label.at(2, 1), 0);
+        let (found, area) = label(&Plane::from_vec(7, 4, data).expect("28 pixels"));
+        assert_eq!(area, [0, 8, 2, 1]);
+        assert_eq!(found.at(2, 1), 0);
     }
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Rounding of many numbers at once, through the bits of a float: a conversion has to care for numbers that are not here, and keeps
-//! a loop from becoming vectors.
+//! Rounding of many numbers at once, through the bits of a float: a conversion has to care for numbers that are not
+//! here, and keeps a loop from becoming vectors.
 
 /// Adding this to a number of less than 2^22 rounds it to a whole one, in the low bits.
 const ROUND: f32 = 12_582_912.0;

@@ -14,5 +14,6 @@ pub mod region_of_interest;
 pub(crate) mod row_support;
 /// Which vector instructions are used.
 pub mod simd;
+pub(crate) mod sliding;
 pub(crate) mod stage_times;
 pub(crate) mod subpixel;

@@ -19,17 +19,15 @@ impl Run {
         Self { start: start as u32, end: end as u32 }
     }
 
-    /// Its columns.
     pub fn columns(&self) -> Range<usize> {
         self.start as usize..self.end as usize
     }
 
-    /// First column.
     pub fn start(&self) -> usize {
         self.start as usize
     }
 
-    /// Column after the last.
+    /// The column behind the last one of the run.
     pub fn end(&self) -> usize {
         self.end as usize
     }
@@ -47,13 +45,6 @@ impl Runs {
     /// The runs of a mask of zeros and ones.
     pub fn of(mask: &Plane<u8>) -> Self {
         let mut runs = Self::default();
-        runs.find(mask);
-        runs
-    }
-
-    /// Replaces these by the runs of a mask of zeros and ones.
-    pub fn find(&mut self, mask: &Plane<u8>) {
-        self.clear();
         simd::dispatch(
             #[inline(always)]
             || {
@@ -61,19 +52,21 @@ impl Runs {
                     runs_of(
                         mask.row(v),
                         #[inline(always)]
-                        |first, end| self.push(Run::new(first, end)),
+                        |first, end| runs.push(Run::new(first, end)),
                     );
-                    self.end_row();
+                    runs.end_row();
                 }
             },
         );
+        runs
     }
 
     /// Writes the mask of zeros and ones that has these runs, of as many rows.
     pub fn paint(&self, mask: &mut Plane<u8>) {
         for v in 0..self.height() {
             let row = mask.row_mut(v);
-            fill_beside(self.row(v), row, 0);
+            let all = 0..row.len();
+            fill_around(self.row(v), row, all, 0);
             self.row(v).iter().for_each(|run| row[run.columns()].fill(1));
         }
     }
@@ -94,7 +87,6 @@ impl Runs {
         self.ends.push(self.runs.len());
     }
 
-    /// Rows.
     pub fn height(&self) -> usize {
         self.ends.len()
     }
@@ -110,12 +102,17 @@ impl Runs {
         &self.runs[self.places(v)]
     }
 
-    /// All runs.
+    /// All runs, each with its row and its place among [`Runs::all`].
+    pub fn each(&self) -> impl Iterator<Item = (usize, usize, Run)> {
+        let places = (0..self.height()).flat_map(|v| self.places(v).map(move |place| (v, place)));
+        places.map(|(v, place)| (v, place, self.runs[place]))
+    }
+
     pub fn all(&self) -> &[Run] {
         &self.runs
     }
 
-    /// Pixels of all runs.
+    /// Pixels of all runs together.
     pub fn area(&self) -> usize {
         self.runs.iter().map(|run| run.columns().len()).sum()
     }
@@ -136,13 +133,6 @@ impl Runs {
     }
 }
 
-/// Fills what lies beside the runs of a row.
-#[inline(always)]
-pub(crate) fn fill_beside<T: Copy>(runs: &[Run], row: &mut [T], value: T) {
-    let all = 0..row.len();
-    fill_around(runs, row, all, value);
-}
-
 /// Fills what lies beside the runs of a row in some columns, and between them.
 #[inline(always)]
 pub(crate) fn fill_around<T: Copy>(runs: &[Run], row: &mut [T], columns: Range<usize>, value: T) {
@@ -154,13 +144,14 @@ pub(crate) fn fill_around<T: Copy>(runs: &[Run], row: &mut [T], columns: Range<u
     row[done..columns.end.max(done)].fill(value);
 }
 
-/// Rows that have their [`Surroundings`] together.
+/// Rows of a band; [`Surroundings`] are kept by bands.
 const BAND_ROWS: usize = 16;
 
-/// How far stages look beside the runs of a row, at most: they look as many rows up and down as a band has, too.
+/// How far beside the runs of a row stages read at most, px. Up and down they read no further than a band.
 const BESIDE_PX: usize = 64;
 
-/// Where stages look at planes beside the runs: what lies farther away need not be filled.
+/// The columns beside the runs that stages read of a plane. What lies farther away need not be filled, which saves
+/// memory traffic.
 #[derive(Debug, Default)]
 pub(crate) struct Surroundings {
     /// Columns of the runs of each band; empty where it has none.
@@ -169,7 +160,7 @@ pub(crate) struct Surroundings {
 }
 
 impl Surroundings {
-    /// Takes those of the runs of rows of so many pixels; every column where `whole` rows are looked at.
+    /// Finds the surroundings of the runs of rows of `width` pixels: all columns if later stages read whole rows.
     pub fn find(&mut self, runs: &Runs, width: usize, whole: bool) {
         self.width = width;
         self.spans.clear();
@@ -248,7 +239,8 @@ pub(crate) fn each_not_0(bytes: &[u8], mut at: impl FnMut(usize)) {
     );
 }
 
-/// Calls `each` with the place of the first of up to [`WORD`] bytes, how many they are, and a bit for each that is not 0.
+/// Calls `each` with the place of the first of up to [`WORD`] bytes, how many they are, and a bit for each that is not
+/// 0.
 #[inline(always)]
 fn each_word(bytes: &[u8], mut each: impl FnMut(usize, usize, u64)) {
     let (words, rest) = bytes.as_chunks::<WORD>();

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Memory that is needed soon, asked for before it is.
+//! Prefetches of memory that is needed soon.
 //!
-//! Rows of planes lie far from each other, and only a part of each is used: the processor, which looks ahead along one stretch of memory,
-//! sees each run's beginning too late. A request costs an instruction and is waited for by nobody.
+//! Rows of planes lie far from each other, and only a part of each is used: the processor, which looks ahead along one
+//! stretch of memory, sees each run's beginning too late. A prefetch costs one instruction, and nothing waits for it.
 
 use super::pixel_runs::Runs;
 use crate::base::image::Plane;
 
-/// Rows that are asked for before they are worked on.
+/// How many rows ahead of the one that is worked on memory is prefetched.
 pub(crate) const AHEAD: usize = 2;
 
-/// Bytes that memory is fetched by.
+/// Bytes of a cache line.
 pub(crate) const LINE: usize = 64;
 
-/// Asks for a value of a row; for none where there is none.
+/// Prefetches a value of a row, if there is such a value.
 #[inline(always)]
 pub(crate) fn value<T>(row: &[T], at: usize) {
     if let Some(value) = row.get(at) {
@@ -21,7 +21,7 @@ pub(crate) fn value<T>(row: &[T], at: usize) {
     }
 }
 
-/// Asks for what the runs of row `v` hold of a plane, if there is such a row.
+/// Prefetches what the runs of row `v` hold of a plane, if there is such a row.
 #[inline(always)]
 pub(crate) fn row<T: Copy>(plane: &Plane<T>, runs: &Runs, v: usize) {
     if v >= plane.height() {
@@ -35,7 +35,7 @@ pub(crate) fn row<T: Copy>(plane: &Plane<T>, runs: &Runs, v: usize) {
     }
 }
 
-/// Asks for the line of a value.
+/// Prefetches the cache line of a value.
 #[inline(always)]
 pub(crate) fn line<T>(value: &T) {
     #[cfg(target_arch = "x86_64")]

@@ -4,16 +4,12 @@
 use super::pixel_runs::{Run, Runs};
 use crate::base::image::{Mono8, Plane};
 
-/// A rectangle of pixels.
+/// A rectangle of pixels in a frame. All planes of a frame cover it; (u, v) is its first pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Roi {
-    /// First column.
     pub u: usize,
-    /// First row.
     pub v: usize,
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
 }
 

@@ -18,7 +18,7 @@ pub(crate) struct Support {
 }
 
 impl Support {
-    /// Begins a frame: rows up to `reach` away, and `pad` columns beyond either end, can be asked for.
+    /// Begins a frame: rows up to `reach` away, and `pad` columns beyond either end, can be read.
     pub fn begin(&mut self, plane: &Plane<f32>, reach: usize, pad: usize) {
         let width = plane.width() + 2 * pad;
         self.rows.resize_with(2 * reach + 1, Vec::new);
@@ -29,8 +29,8 @@ impl Support {
         (self.pad, self.reach, self.filled, self.height) = (pad, reach, 0, plane.height());
     }
 
-    /// Moves to row `v`, after row `v - 1`. Phases of `plane` are known within `runs`; `choose` is given a run's row and
-    /// columns, its phases, and where those of them go that are support, NaN for the others.
+    /// Moves to row `v`, after row `v - 1`. Phases of `plane` are known within `runs`; `choose` is given a run's row
+    /// and columns, its phases, and where those of them go that are support, NaN for the others.
     #[inline(always)]
     pub fn advance(
         &mut self,

@@ -2,9 +2,9 @@
 //! One build for every processor: a stage's loops run with the widest vectors that the processor has.
 //!
 //! Loops are written plainly, over slices, and the compiler makes vectors of them. Neither it nor this code fuses or
-//! reorders floating-point operations, so the bytes that come out are the same at every width (test
-//! `it::simd_paths`). The closure and what is called inside have to be `#[inline(always)]`: what stays a call is compiled
-//! for the narrowest processor, without a warning. So do `array::map`, `array::from_fn` and `Vec::extend` with a closure.
+//! reorders floating-point operations, so the bytes that come out are the same at every width (test `it::simd_paths`).
+//! The closure and what is called inside have to be `#[inline(always)]`: what stays a call is compiled for the
+//! narrowest processor, without a warning. So do `array::map`, `array::from_fn` and `Vec::extend` with a closure.
 //!
 //! `FOURDBODY_SIMD=portable`, `avx2` or `avx512` takes at most that width, for measurements and tests.
 

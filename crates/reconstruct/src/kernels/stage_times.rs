@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What each stage of a frame has taken.
+//! The duration of each stage of a frame.
 
 use std::time::{Duration, Instant};
 
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 pub(crate) struct Clock(pub Vec<(&'static str, Duration)>);
 
 impl Clock {
-    /// Runs one stage.
+    /// Runs one stage and keeps its duration under its name.
     pub(crate) fn time<T>(&mut self, stage: &'static str, work: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = work();

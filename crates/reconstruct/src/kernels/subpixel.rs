@@ -8,7 +8,7 @@
 use super::fast_round::{nearest, whole};
 use std::hint::black_box;
 
-/// Pixels of a block.
+/// Pixels of a block: what is worked on at once.
 pub(crate) const LANES: usize = 32;
 
 /// What a padded row has on each side, px: distances must be shorter by two.
@@ -57,7 +57,7 @@ pub(crate) fn part<T: Copy, const N: usize>(row: &[T], first: usize, beyond: T) 
 pub(crate) fn store<T: Copy>(row: &mut [T], first: usize, count: usize, lanes: &[T; LANES]) {
     match row[first..].first_chunk_mut() {
         Some(all) if count == LANES => *all = *lanes,
-        // A choice for each: a copy of so many would be a call.
+        // A choice for each: a copy of unknown length would be a call.
         Some(all) => {
             for i in 0..LANES {
                 all[i] = if i < count { lanes[i] } else { all[i] };
@@ -73,9 +73,9 @@ pub(crate) fn chunk<T, const N: usize>(row: &[T], first: usize) -> &[T; N] {
     row[first..].first_chunk().expect("a row with room behind its end")
 }
 
-/// Writes a whole block to a row, as far as that goes: what follows is of no matter, or is written next.
+/// Writes a whole block to a row, or what fits of it. Values beyond the run are unused, or written again later.
 #[inline(always)]
-pub(crate) fn put<T: Copy>(row: &mut [T], first: usize, lanes: &[T; LANES]) {
+pub(crate) fn put<T: Copy, const N: usize>(row: &mut [T], first: usize, lanes: &[T; N]) {
     let row = &mut row[first..];
     match row.first_chunk_mut() {
         Some(all) => *all = *lanes,
@@ -86,12 +86,12 @@ pub(crate) fn put<T: Copy>(row: &mut [T], first: usize, lanes: &[T; LANES]) {
 /// Apart, because the compiler would make one copy of both cases, of a length that it does not know: a call.
 #[cold]
 #[inline(never)]
-fn put_end<T: Copy>(row: &mut [T], lanes: &[T; LANES]) {
+fn put_end<T: Copy, const N: usize>(row: &mut [T], lanes: &[T; N]) {
     row.copy_from_slice(&lanes[..row.len()]);
 }
 
-/// The same for values that are still to be made. They go where they belong at once: what is written to the stack in halves
-/// would have to be waited for.
+/// The same for values that are computed one by one. They are written to their place directly: loading them from the
+/// stack in other widths than they were stored in would stall the processor.
 #[inline(always)]
 pub(crate) fn put_each<T>(row: &mut [T], first: usize, value: impl Fn(usize) -> T) {
     let row = &mut row[first..];
@@ -106,7 +106,7 @@ pub(crate) fn put_each<T>(row: &mut [T], first: usize, value: impl Fn(usize) -> 
     }
 }
 
-/// Makes a row one of zeros, as many as a row of `width` values and a block behind its end.
+/// Fills a row with zeros: `width` of them, and a block behind its end.
 pub(crate) fn with_room(row: &mut Vec<f32>, width: usize) {
     row.clear();
     row.resize(width + LANES, 0.0);
@@ -115,7 +115,7 @@ pub(crate) fn with_room(row: &mut Vec<f32>, width: usize) {
 /// The periods of a block; an unknown one (0) is the largest of the block, so that it does not spoil the others.
 pub(crate) struct Periods {
     lanes: Lanes,
-    /// Smallest and largest: they tell how far the distances go, whatever the share, without a look at each again.
+    /// The smallest and the largest of them: the range of the distances at any share follows from these two.
     least: f32,
     most: f32,
 }
@@ -155,8 +155,8 @@ fn pixel_before(distance: f32) -> f32 {
     nearest(distance - 0.5)
 }
 
-/// `a` where `mask` has no bits, `b` where it has all. Bits, because the compiler makes a gather of a choice between two
-/// places in memory.
+/// `a` where `mask` has no bits, `b` where it has all. Bits, because the compiler makes a gather of a choice between
+/// two places in memory.
 #[inline(always)]
 pub(crate) fn choose(a: f32, b: f32, mask: u32) -> f32 {
     f32::from_bits(a.to_bits() & !mask | b.to_bits() & mask)
@@ -184,7 +184,7 @@ pub(crate) fn between(padded: &[f32], first: usize, periods: &Periods, share: f3
         }
         return out;
     }
-    // Each distance in whole pixels gives its two values to those that have it.
+    // For each distance in whole pixels, the pixels with this distance take their two values.
     let (mut before, mut a, mut b) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
     for (before, &period) in before.iter_mut().zip(&periods.lanes) {
         *before = pixel_before(distance(period, share, more));
@@ -214,13 +214,13 @@ pub(crate) struct Light {
 }
 
 impl Light {
-    /// Makes room for a row of so many pixels.
+    /// Makes room for a row of `width` pixels.
     pub(crate) fn reserve(&mut self, width: usize) {
         reserve(&mut self.padded, width);
         reserve(&mut self.steps, width);
     }
 
-    /// Takes the light of a run that begins at `first`. What lies beside it is any.
+    /// Takes the light of a run that begins at `first`. Values beside the run stay undefined.
     #[inline(always)]
     pub(crate) fn set(&mut self, first: usize, pixels: &[u8]) {
         let n = pixels.len();
@@ -228,7 +228,7 @@ impl Light {
         for i in 0..n {
             padded[i] = f32::from(pixels[i]);
         }
-        // Beside a run nobody looks, but the first and the last pixel have neighbours there.
+        // Values beside a run are not used, but the first and the last pixel have neighbours there.
         let (padded, steps) =
             (&self.padded[PAD + first - 1..][..n + 2], &mut self.steps[PAD + first - 1..][..n + 1]);
         for i in 0..n + 1 {
@@ -242,8 +242,8 @@ impl Light {
         chunk(&self.padded, PAD + first)
     }
 
-    /// [`between`] before and behind each pixel, at the distance of `share` of its period. A line through the first two of
-    /// three values, and what the second line is steeper: no pixel has to choose.
+    /// [`between`] before and behind each pixel, at the distance of `share` of its period. A line through the first
+    /// two of three values, and what the second line is steeper: no pixel has to choose.
     #[inline(always)]
     pub(crate) fn both_sides(&self, first: usize, periods: &Periods, share: f32) -> [Lanes; 2] {
         let least = whole(distance(periods.least, share, 0.0) - 0.5);
@@ -268,8 +268,8 @@ impl Light {
     }
 }
 
-/// A block of a padded row from behind `first` on, of which the compiler does not know that it has most of it already: it
-/// would put it together from that instead of loading it.
+/// A block of a padded row from behind `first` on, of which the compiler does not know that it has most of it already:
+/// it would put it together from that instead of loading it.
 #[inline(always)]
 fn next_of(padded: &[f32], first: usize) -> &Lanes {
     black_box(chunk(padded, first + 1))

@@ -18,6 +18,9 @@ use std::f32::consts::{PI, TAU};
 /// The zone around a ridge in which the marker disturbs the phase, in periods to each side.
 const REACH_PERIODS: f32 = 1.0;
 
+/// How far from the zone's ends the periods are taken that bridge it, in nominal fringe periods.
+const BESIDE_PERIODS: f32 = 1.5;
+
 /// Below this coherence the mean over the marker's period means nothing.
 const MIN_COHERENCE: f32 = 0.5;
 
@@ -42,7 +45,7 @@ pub fn zone(ridges: &Runs, period: &Plane<f32>, zone: &mut Plane<u8>) {
 /// Crossings cannot be counted where a lobe is missing: in the zone, given by its runs, the period becomes the mean of
 /// those beside it.
 pub fn bridge_period(period: &mut Plane<f32>, zone: &Runs, nominal_px: f32) {
-    let beside = (1.5 * nominal_px).round() as usize;
+    let beside = (BESIDE_PERIODS * nominal_px).round() as usize;
     for v in 0..zone.height() {
         for run in zone.row(v) {
             let run = run.columns();
@@ -98,7 +101,7 @@ impl Average {
     pub(crate) fn block(&self, ring: &Ring<'_>, v: usize, first: usize) -> [Lanes; 2] {
         let half = self.reach();
         let tilt = tilt(ring, v, half, first);
-        // What turns a phasor back by the tilt of one row, and what turns that of the first row.
+        // The rotation that takes the tilt out of the first row; each further row turns it back by one tilt.
         let (mut turn_c, mut turn_s): (Lanes, Lanes) = ([1.0; LANES], [0.0; LANES]);
         for _ in 0..half {
             for i in 0..LANES {
@@ -172,7 +175,10 @@ pub struct Bias {
 }
 
 impl Bias {
+    /// How far from the marker the table goes, rad of phase: the formula's window is one fringe wide.
     const REACH: f32 = 1.5 * TAU;
+
+    /// Steps of the table: 1/512 of a fringe each.
     const STEPS: usize = 1536;
 
     /// The table for a pattern.

@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Do the marker's dashes lie where the calibration has them?
 //!
-//! A phase names a column of the panel, and nothing in a photograph of fringes tells whether the calibration that makes
-//! a point of it is this camera's, or whose light it is. The dashes do: the marker's column and a line of sight meet in
-//! one point, which the calibration puts on one *row* of the panel, and there the dashes have one phase. No fringe order
-//! and no other camera has a part in that (it is the epipolar constraint, read from the marker). With the right
+//! A phase names a column of the panel. Nothing in a photograph of fringes shows whether the calibration that makes a
+//! point of it is this camera's, or whose light it is. The dashes do: the marker's column and a line of sight meet in
+//! one point, which the calibration puts on one *row* of the panel, and there the dashes have one phase. No fringe
+//! order and no other camera has a part in that (it is the epipolar constraint, read from the marker). With the right
 //! calibration they lie within hundredths of a row of it; with another camera's, or under another projector's light,
 //! anywhere, and not in the same place along the marker.
 //!
-//! Calibration has to have brought the panel's rows into line with the dashes (`CalibratedHead::rows`): fringes alone do
-//! not tell them. Where it has not, nothing is checked.
+//! The calibration must have brought the panel's rows into line with the dashes (`CalibratedHead::rows`): fringes
+//! alone do not determine them. Where it has not, nothing is checked.
 //!
-//! The marker is looked at in stretches of two dashes. A piece of which no more than half of the stretches look like dashes at
-//! their place is something else and no anchor; a frame of whose dashes most lie elsewhere is refused.
+//! The marker is looked at in stretches of two dashes. A piece of which no more than half of the stretches look like
+//! dashes at their place is something else and no anchor; a frame of whose dashes most lie elsewhere is refused.
 
 use super::pieces::MarkerPieces;
 use crate::base::image::Plane;
@@ -28,17 +28,19 @@ const STRETCH: f64 = 2.0;
 /// Fewest image rows of a stretch: four numbers are fitted to their light.
 const LEAST_ROWS: usize = 7;
 
-/// Rows of the image that a stretch may lack in one place.
+/// Rows of the image that a stretch may lack in one place, at most.
 const GAP_ROWS: usize = 2;
 
-/// A stretch agrees when its dashes lie within this of their place, rad: an eighth of their period, a row of the shipped
-/// panel, which is far more than calibrations are wrong by.
+/// A stretch agrees when its dashes lie within this of their place, rad: an eighth of their period, a row of the
+/// shipped panel, which is far more than calibrations are wrong by.
 const MOST_OFFSET: f64 = TAU / 8.0;
 
-/// And within this of where most of the frame's others lie, rad: another camera's wander along the marker.
+/// It also lies within this of the median of the frame's stretches, rad: those of another camera wander along the
+/// marker.
 const MOST_SPREAD: f64 = 0.25;
 
-/// And when what its light has beside offset, slope and dashes is less than this share of the dashes (RMS to amplitude).
+/// A stretch looks like dashes if the remainder of its light, after offset, slope and dashes, is less than this share
+/// of the dashes (RMS to amplitude).
 const MOST_REMAINDER: f64 = 0.5;
 
 /// Fewest stretches, of those that look like dashes, by which a whole frame is judged.
@@ -47,14 +49,14 @@ const LEAST_STRETCHES: u32 = 3;
 /// An offset that is worth a remark, px of the panel: calibrations from photographs are right within hundredths of one.
 pub const REMARKABLE_PX: f32 = 0.3;
 
-/// What the dashes of a frame say.
+/// How the dashes of a frame agree with the calibration.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Dashes {
     /// Stretches that were looked at.
     pub stretches: u32,
     /// Those that lie where the calibration has them.
     pub agreeing: u32,
-    /// Those that look like dashes and lie elsewhere; the others are too faint to tell, or no dashes.
+    /// Those that look like dashes and lie elsewhere; the others are too faint to judge, or no dashes.
     pub displaced: u32,
     /// How much further along the panel's rows than there most of these lie, px of the panel, in thousandths.
     pub offset_px: Option<f32>,
@@ -71,8 +73,8 @@ impl Dashes {
         self.is_enough() && self.agreeing < self.displaced
     }
 
-    /// Whether the dashes of most cameras contradict a calibration, and not by a single one of them: then those that agree do
-    /// so by chance.
+    /// Whether the dashes of most cameras contradict a calibration, and not by a single one of them: then those that
+    /// agree do so by chance.
     pub fn most_contradict<'a>(cameras: impl Iterator<Item = &'a Self>) -> bool {
         let (mut seen, mut contradicting) = (0, 0);
         for dashes in cameras.filter(|dashes| dashes.is_enough()) {
@@ -86,19 +88,19 @@ impl Dashes {
 /// A row of the image that crosses the marker.
 #[derive(Debug, Clone, Copy)]
 pub struct Crossing {
-    /// The image's row.
+    /// The row of the image.
     pub v: usize,
     /// The panel's row that the calibration names, px.
     pub row: f64,
-    /// Before the projector, m.
+    /// The distance before the projector, m.
     pub distance: f64,
     /// Light over one period of the fringes, DN.
     pub light: f64,
 }
 
-/// Looks at each piece of the marker, and takes their numbers from those that lie elsewhere. `wrapped`, rad, and `light`, in the
-/// steps of [`windows`], are those of the same part `roi` of the frame.
-pub fn check(
+/// Checks each piece of the marker, and sets the number of those that lie elsewhere to 0. `wrapped`, rad, and `light`,
+/// in steps of `window_quality`, cover the same part `roi` of the frame.
+pub(crate) fn check(
     marker: &mut MarkerPieces,
     wrapped: &Plane<f32>,
     light: &Plane<u16>,
@@ -107,21 +109,17 @@ pub fn check(
 ) -> Dashes {
     let pair = triangulator.pair();
     let Some(rows) = pair.rows else { return Dashes::default() };
-    let MarkerPieces { cores, of, pieces, number } = marker;
-    let mut crossings = vec![Vec::new(); pieces.len()];
-    for v in 0..cores.height() {
-        for place in cores.places(v) {
-            let piece = of[place] as usize;
-            let off = |u: &usize| wrapped.at(*u, v).abs();
-            let columns = cores.all()[place].columns();
-            let Some(u) = columns.min_by(|a, b| off(a).total_cmp(&off(b))) else { continue };
-            let Some(marker) = pair.markers.get(usize::from(number[piece]).wrapping_sub(1)) else { continue };
-            let phase = TAU * f64::from(*marker) + f64::from(wrapped.at(u, v));
-            let Some((row, distance)) = triangulator.panel_row(roi.u + u, roi.v + v, phase) else { continue };
-            let row = rows.of(row, distance);
-            let light = f64::from(window_quality::light(light.at(u, v)));
-            crossings[piece].push(Crossing { v, row, distance, light });
-        }
+    let mut crossings = vec![Vec::new(); marker.pieces.len()];
+    for (v, columns, piece) in marker.runs() {
+        let off = |u: &usize| wrapped.at(*u, v).abs();
+        let Some(u) = columns.min_by(|a, b| off(a).total_cmp(&off(b))) else { continue };
+        let number = usize::from(marker.number[piece]).wrapping_sub(1);
+        let Some(fringe) = pair.markers.get(number) else { continue };
+        let phase = TAU * f64::from(*fringe) + f64::from(wrapped.at(u, v));
+        let Some((row, distance)) = triangulator.panel_row(roi.u + u, roi.v + v, phase) else { continue };
+        let row = rows.of(row, distance);
+        let light = f64::from(window_quality::light(light.at(u, v)));
+        crossings[piece].push(Crossing { v, row, distance, light });
     }
     let period = pair.pattern.marker_period_px;
     let seen: Vec<Vec<Stretch>> = crossings
@@ -134,7 +132,7 @@ pub fn check(
     let agrees =
         |x: &&Stretch| x.is_near() && usual.is_some_and(|usual| (x.offset - usual).abs() <= MOST_SPREAD);
     let mut all = Dashes::default();
-    for (stretches, number) in seen.iter().zip(number) {
+    for (stretches, number) in seen.iter().zip(&mut marker.number) {
         let agreeing = stretches.iter().filter(agrees).count();
         // One of two may agree by chance.
         if !stretches.is_empty() && 2 * agreeing <= stretches.len() {
@@ -148,8 +146,8 @@ pub fn check(
     all
 }
 
-/// Cuts the crossings of a piece, by rising image row, into stretches of [`STRETCH`] periods; what is left over at the end of each is
-/// dropped.
+/// Cuts the crossings of a piece, by rising image row, into stretches of two periods; what is left over at the
+/// end of each is dropped.
 pub fn stretches_of(crossings: &[Crossing], period: f64) -> impl Iterator<Item = &[Crossing]> {
     let whole = move |first: usize, next: usize| {
         (crossings[next].row - crossings[first].row).abs() >= STRETCH * period && next - first >= LEAST_ROWS
@@ -157,7 +155,7 @@ pub fn stretches_of(crossings: &[Crossing], period: f64) -> impl Iterator<Item =
     let mut first = 0;
     std::iter::from_fn(move || {
         for next in first + 1..crossings.len() {
-            // Upwards, too: the next marker begins.
+            // Rows that go back, too: there the next marker begins.
             if crossings[next].v.wrapping_sub(crossings[next - 1].v) > 1 + GAP_ROWS {
                 first = next;
             } else if whole(first, next) {
@@ -181,8 +179,8 @@ pub struct Stretch {
 }
 
 impl Stretch {
-    /// By the offset, slope, cosine and sine of the dashes' phase that fit the light best; `None` where the rows do not tell
-    /// these apart.
+    /// By the offset, slope, cosine and sine of the dashes' phase that fit the light best; `None` where the rows do not
+    /// separate these.
     pub fn of(crossings: &[Crossing], period: f64) -> Option<Self> {
         let middle = crossings[crossings.len() / 2].row;
         let terms = |crossing: &Crossing| {
@@ -203,7 +201,7 @@ impl Stretch {
         Some(Self { offset: found[3].atan2(found[2]), remainder })
     }
 
-    /// Whether it looks like dashes.
+    /// Whether its light looks like dashes.
     pub fn is_clear(&self) -> bool {
         self.remainder <= MOST_REMAINDER
     }
@@ -239,8 +237,9 @@ mod tests {
         CameraProjector { rows: Some(PanelRows::exact()), ..pair }
     }
 
-    /// The marker on a plane through the middle of the volume, as a camera sees it: its pixels, wrapped phases and light. `shift` of
-    /// the panel's rows the dashes lie further than they should; rows for which `still` holds have none.
+    /// The marker on a plane through the middle of the volume, as a camera sees it: its pixels, wrapped phases and
+    /// light. `shift` of the panel's rows the dashes lie further than they should; rows for which `still` holds have
+    /// none.
     fn marker(
         pair: &CameraProjector,
         shift: f64,
@@ -272,7 +271,7 @@ mod tests {
         (anchor, wrapped, light)
     }
 
-    /// What the dashes of a photograph say, which holds these anchors, and the anchors that are left.
+    /// The check of the dashes of a photograph with these anchors, and the anchors that are left.
     fn left(photograph: &(Plane<u8>, Plane<f32>, Plane<u16>), pair: CameraProjector) -> (Dashes, Plane<u8>) {
         let (anchor, wrapped, light) = photograph;
         let mut pieces = MarkerPieces::new(Runs::of(anchor));

@@ -6,21 +6,18 @@
 //! along the column at the marker's period and divided by the light. The marker then is a ridge one fringe
 //! wide: its energy must stand out of that 1.25 periods to either side, where edges and hems do not. Its core
 //! pixels (|W| < pi/2) are separated from those of the next fringe, so that a connected component follows ONE
-//! fringe by construction; it must be at least [`MIN_DASHES`] dashes long.
+//! fringe by construction; it must be at least `MIN_DASHES` dashes long.
 
-/// Phase under the marker.
-pub mod bias;
-/// Whether the marker's dashes lie where the calibration has them.
+pub(crate) mod bias;
 pub mod epipolar_check;
-/// Which of several markers it is.
-pub mod number;
-/// Pieces of the marker's cores.
-pub mod pieces;
+pub(crate) mod number;
+pub(crate) mod pieces;
 
 use super::kernels::connected_components::{self, Piece};
 use super::kernels::pixel_runs::{Run, Runs};
 use super::kernels::simd;
 use super::kernels::subpixel::{self, LANES, Lanes, PAD, Periods};
+use super::phase::demodulate::MAX_HALF;
 use super::triangulate::camera_projector::CameraProjector;
 use crate::base::image::{Mono8, Plane};
 use std::f32::consts::{FRAC_PI_2, TAU};
@@ -29,11 +26,15 @@ use std::ops::Range;
 /// Shortest marker that counts, in periods of its modulation.
 const MIN_DASHES: f32 = 2.5;
 
+/// A core's mean width is at most this share of the fringe period: a wider one holds more than one fringe.
+const MAX_CORE_PERIODS: f32 = 0.9;
+
 /// A marker's lateral contrast must reach this share of the modulation that is projected: blur takes the rest.
 const MIN_CONTRAST: f32 = 0.25;
 
-/// Half of the longest period whose mean is taken, px.
-const MAX_HALF: f32 = 20.0;
+/// How far beside a pixel the energy is taken that counts against it, in fringe periods: beyond the next fringe's
+/// flank.
+const LATERAL_PERIODS: f32 = 1.25;
 
 /// Energy beside the marker counts this much against it.
 const LATERAL_WEIGHT: f32 = 1.5;
@@ -43,7 +44,7 @@ const BAND_LANES: usize = 16;
 
 /// What [`ridges`] uses again from frame to frame.
 #[derive(Debug, Default)]
-pub struct Buffers {
+pub(crate) struct Buffers {
     /// Light without the carrier, of as many rows as the band pass has taps, one behind the other.
     light: Vec<f32>,
     energy: Vec<f32>,
@@ -52,8 +53,8 @@ pub struct Buffers {
 }
 
 /// Finds where the light has the marker's modulation along the column, in ridges that are long enough: their pixels.
-/// `energy`, where it is asked for, becomes that modulation relative to the local light, NaN where it is not known.
-pub fn ridges(
+/// `energy`, where it is given, becomes that modulation relative to the local light, NaN where it is not known.
+pub(crate) fn ridges(
     image: Mono8<'_>,
     runs: &Runs,
     period: &Plane<f32>,
@@ -99,12 +100,20 @@ pub fn ridges(
             }
         },
     );
-    select(&buffers.found, |_, piece| piece.rows() >= MIN_DASHES * pair.marker_period_px)
+    let mut ridges = Runs::default();
+    let choose = |_: &[u32], pieces: &[Piece]| pieces.iter().map(|piece| is_long(piece, pair)).collect();
+    connected_components::select(&buffers.found, choose, &mut ridges);
+    ridges
 }
 
 /// The ridges' pixels on the core of one fringe. `wrapped` must already be that of the marker's mean light
-/// (see [`self::bias`]): between its dashes a darkened marker has no core of its own.
-pub fn detect(ridges: &Runs, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &CameraProjector) -> Runs {
+/// (`bias.rs`): between its dashes a darkened marker has no core of its own.
+pub(crate) fn detect(
+    ridges: &Runs,
+    period: &Plane<f32>,
+    wrapped: &Plane<f32>,
+    pair: &CameraProjector,
+) -> Runs {
     let mut core = Runs::default();
     for v in 0..ridges.height() {
         let wrapped = wrapped.row(v);
@@ -113,29 +122,36 @@ pub fn detect(ridges: &Runs, period: &Plane<f32>, wrapped: &Plane<f32>, pair: &C
         }
         core.end_row();
     }
-    let (piece, pieces) = connected_components::connect(&core);
-    let mut widths = vec![0f32; pieces.len()];
-    for v in 0..core.height() {
-        for place in core.places(v) {
-            let period = &period.row(v)[core.all()[place].columns()];
-            widths[piece[place] as usize] += period.iter().sum::<f32>();
+    let mut cores = Runs::default();
+    let choose = |piece: &[u32], pieces: &[Piece]| {
+        let mut periods = vec![0f32; pieces.len()];
+        for (v, place, run) in core.each() {
+            periods[piece[place] as usize] += period.row(v)[run.columns()].iter().sum::<f32>();
         }
-    }
-    select(&core, |number, piece| {
-        let area = piece.area as f32;
-        piece.rows() >= MIN_DASHES * pair.marker_period_px
-            && area / piece.rows() <= 0.9 * widths[number] / area
-    })
+        let is_fringe = |(piece, periods): (&Piece, f32)| {
+            let area = piece.area as f32;
+            is_long(piece, pair) && area / piece.rows() <= MAX_CORE_PERIODS * periods / area
+        };
+        pieces.iter().zip(periods).map(is_fringe).collect()
+    };
+    connected_components::select(&core, choose, &mut cores);
+    cores
 }
 
-/// The pixels of a run for which `is` holds. Stretches of which `may` tells at once that it holds nowhere are passed over.
+/// Whether a piece has as many dashes as a marker.
+fn is_long(piece: &Piece, pair: &CameraProjector) -> bool {
+    piece.rows() >= MIN_DASHES * pair.marker_period_px
+}
+
+/// Adds the pixels of a run for which `is` holds. Stretches for which `may` is false, so that it holds nowhere, are
+/// skipped.
 #[inline(always)]
 fn push_where(run: &Run, may: impl Fn(Range<usize>) -> bool, is: impl Fn(usize) -> bool, out: &mut Runs) {
     let mut start = None;
     for first in run.columns().step_by(LANES) {
         let stretch = first..run.end().min(first + LANES);
         let some = may(stretch.clone());
-        // Of the others the first ends what has begun.
+        // Of a skipped stretch the first pixel is visited: it ends a run that has begun.
         for u in if some { stretch } else { first..first + 1 } {
             match (some && is(u), start) {
                 (true, None) => start = Some(u),
@@ -166,7 +182,7 @@ fn carrier_free_row(image: &[u8], runs: &[Run], period: &[f32], sums: &mut Vec<f
             sum += u32::from(x);
             *out = sum as f32;
         }
-        // A block ahead: how far its distances go is known only when all its periods have been compared. (Behind the last one there is none.)
+        // A block ahead: the range of its distances is known only when all its periods have been compared.
         let mut next = Periods::new(&subpixel::load(period, columns.start));
         for first in columns.clone().step_by(LANES) {
             let count = LANES.min(columns.end - first);
@@ -195,7 +211,7 @@ fn carrier_free_row(image: &[u8], runs: &[Run], period: &[f32], sums: &mut Vec<f
 struct Band {
     /// Weights of the mean, of the cosine and of the sine, at the middle row and at each distance from it.
     taps: Vec<[f32; 3]>,
-    /// What of the mean the cosine lets through.
+    /// The share of the mean that leaks into the cosine's sum.
     leak: f32,
 }
 
@@ -286,27 +302,13 @@ fn ridges_of_row(energy: &[f32], runs: &[Run], period: &[f32], threshold: f32, f
 /// Energy at `u` less that 1.25 periods to either side; negative where neither side is known.
 #[inline(always)]
 fn lateral_contrast(energy: &[f32], u: usize, period: f32) -> f32 {
-    let step = (1.25 * period + 0.5) as usize;
+    let step = (LATERAL_PERIODS * period + 0.5) as usize;
     let left = u.checked_sub(step).map_or(f32::NAN, |x| energy[x]);
     let right = energy.get(u + step).copied().unwrap_or(f32::NAN);
     if left.is_nan() && right.is_nan() {
         return -1.0;
     }
     energy[u] - LATERAL_WEIGHT * left.max(right)
-}
-
-/// The components for which `keep` holds, given their number.
-fn select(runs: &Runs, keep: impl Fn(usize, &Piece) -> bool) -> Runs {
-    let (piece, pieces) = connected_components::connect(runs);
-    let kept: Vec<bool> = pieces.iter().enumerate().map(|(number, piece)| keep(number, piece)).collect();
-    let mut out = Runs::default();
-    for v in 0..runs.height() {
-        for place in runs.places(v).filter(|&place| kept[piece[place] as usize]) {
-            out.push(runs.all()[place]);
-        }
-        out.end_row();
-    }
-    out
 }
 
 #[cfg(test)]
@@ -355,8 +357,8 @@ mod tests {
             rows[30][gap] = f32::NAN;
             let v = 31;
             let mut found = vec![f32::NAN; 60];
-            let ring: Vec<_> = (0..=2 * half).map(|i| (v - half..=v + half).find(|row| row % (2 * half + 1) == i)).collect();
-            let ring: Vec<Vec<f32>> = ring.into_iter().map(|row| rows[row.expect("a row")].clone()).collect();
+            let row_at = |i: usize| (v - half..=v + half).find(|row| row % (2 * half + 1) == i).expect("a row");
+            let ring: Vec<Vec<f32>> = (0..=2 * half).map(|i| rows[row_at(i)].clone()).collect();
             band.energy((&ring.concat(), 100), v, &Run::new(3, 58), &mut found);
             for u in 0..60 {
                 let sum = |weight: &dyn Fn(f64) -> f64| -> f64 {

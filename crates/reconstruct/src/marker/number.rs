@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which of the pattern's markers is it? Equal markers are told apart by the working volume.
+//! Which of the pattern's markers a piece is: the working volume distinguishes equal markers.
 //!
 //! A camera's ray meets the volume between two distances, and there the projector's columns between two values. A
 //! marker whose ridge does not lie between them cannot be what the camera sees there. Markers are so far apart
@@ -9,32 +9,29 @@ use super::pieces::MarkerPieces;
 use crate::kernels::region_of_interest::Roi;
 use crate::triangulate::camera_projector::CameraProjector;
 
-/// Pixels of a piece that are tried.
+/// Pixels of a piece that are tried, about.
 const SAMPLES: usize = 64;
 
-/// Share of them that must allow one marker.
+/// Share of these pixels that must allow one marker.
 const LEAST_SHARE: f32 = 0.9;
 
-/// The largest share that may allow any other.
+/// The largest share of these pixels that may allow any other marker.
 const MOST_OF_ANOTHER: f32 = 0.1;
 
-/// Gives each piece the number of the marker that it is; 0 where that is not certain. `roi` is where they lie in the frame.
+/// Gives each piece the number of the marker that it is; 0 where that is not certain. `roi` is where they lie in the
+/// frame.
 pub fn assign(marker: &mut MarkerPieces, roi: Roi, pair: &CameraProjector) {
-    let MarkerPieces { cores, of, pieces, number: numbers } = marker;
-    let mut samples = vec![Vec::new(); pieces.len()];
-    let mut seen = vec![0u32; pieces.len()];
-    for v in 0..cores.height() {
-        for place in cores.places(v) {
-            let piece = of[place] as usize;
-            for u in cores.all()[place].columns() {
-                if seen[piece].is_multiple_of(pieces[piece].area.div_ceil(SAMPLES as u32)) {
-                    samples[piece].push((roi.u + u, roi.v + v));
-                }
-                seen[piece] += 1;
+    let mut samples = vec![Vec::new(); marker.pieces.len()];
+    let mut seen = vec![0u32; marker.pieces.len()];
+    for (v, columns, piece) in marker.runs() {
+        for u in columns {
+            if seen[piece].is_multiple_of(marker.pieces[piece].area.div_ceil(SAMPLES as u32)) {
+                samples[piece].push((roi.u + u, roi.v + v));
             }
+            seen[piece] += 1;
         }
     }
-    for (out, samples) in numbers.iter_mut().zip(&samples) {
+    for (out, samples) in marker.number.iter_mut().zip(&samples) {
         *out = number(samples, pair);
     }
 }

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which pixels' upper envelope lies above a level, in rows of bits: 64 pixels a word.
 //!
-//! The envelope is a closing along the row and a median of 3 x 3 pixels of that. Both give one of the values that they see, by the
-//! order of these alone: what they give lies above a level where they give a one for the pixels that do. So they need not
-//! be made of values where the level is known, and where nothing lies above it there is nothing to do.
+//! The envelope is a closing along the row and a median of 3 x 3 pixels of that. Both give one of the values that they
+//! see, by the order of these alone: what they give lies above a level where they give a one for the pixels that do.
+//! So they need not be made of values where the level is known, and where nothing lies above it there is nothing to
+//! do.
 
 use crate::base::image::Mono8;
 use crate::kernels::bit_rows::{WORD, bits_above, even};
@@ -15,19 +16,20 @@ const MOST: usize = WORD - 1;
 /// Rows that are used again from frame to frame.
 #[derive(Debug, Default)]
 pub(crate) struct Above {
-    /// What lies above the level, before it is closed.
+    /// A bit for each pixel above the level, before the closing.
     raw: Vec<u64>,
-    /// What a row of it is widened to.
+    /// A row of these bits after the dilation.
     wide: Vec<u64>,
-    /// The last rows, closed.
+    /// The last three rows after the closing.
     closed: [Vec<u64>; 3],
-    /// Of three of them, how many ones there are in each column: ones, twos.
+    /// How many of these three bits are set in each column, as a binary number: its ones and its twos.
     count: [Vec<u64>; 2],
 }
 
 impl Above {
-    /// A bit for each pixel whose envelope lies above `level`, row by row, in columns that are returned and begin with a word: beside
-    /// them there is none. The closing reaches `half` pixels to each side, 63 at most; the image's outermost pixels have no median.
+    /// A bit for each pixel whose envelope lies above `level`, row by row, in columns that are returned and begin with
+    /// a word: beside them there is none. The closing reaches `half` pixels to each side, 63 at most; the image's
+    /// outermost pixels have no median.
     #[inline(always)]
     pub(crate) fn find(
         &mut self,
@@ -47,7 +49,7 @@ impl Above {
             first = first.min(row.iter().position(|&word| word != 0).unwrap_or(all));
             end = end.max(row.iter().rposition(|&word| word != 0).map_or(0, |last| last + 1));
         }
-        // With room for what the closing widens.
+        // One word more on either side, which the closing may set bits of.
         let (first, end) = (first.min(end).saturating_sub(1), (end + 1).min(all));
         let columns = first * WORD..(end * WORD).min(w);
         let (words, width) = (end - first, columns.len());
@@ -91,15 +93,15 @@ fn find_raw(row: &[u8], level: u8, bits: &mut [u64]) {
     }
 }
 
-/// The closing of a row of `width` bits, whose ends repeat: over so many to each side, those where any is set, of these those where
-/// all are. `wide` is memory to use.
+/// The closing of a row of `width` bits, whose ends repeat: dilation by `half` bits to each side, then erosion by as
+/// many. `wide` is memory to use.
 #[inline(always)]
 fn close(row: &[u64], width: usize, half: u32, wide: &mut [u64], out: &mut [u64]) {
     if row.iter().all(|&word| word == 0) {
         return out.fill(0);
     }
     spread(row, half, wide);
-    // What is not set spreads; nothing does from beyond the ends.
+    // Erosion: bits that are not set spread, but not from beyond the ends.
     complement(wide, width);
     spread(wide, half, out);
     complement(out, width);
@@ -107,16 +109,22 @@ fn close(row: &[u64], width: usize, half: u32, wide: &mut [u64], out: &mut [u64]
 
 /// Sets what is not set of a row of `width` bits, and takes away what is.
 #[inline(always)]
-fn complement(row: &mut [u64], width: usize) {
+pub(super) fn complement(row: &mut [u64], width: usize) {
     row.iter_mut().for_each(|word| *word = !*word);
+    clip(row, width);
+}
+
+/// Takes away what lies beyond the `width` bits of a row.
+#[inline(always)]
+pub(super) fn clip(row: &mut [u64], width: usize) {
     if let Some(last) = row.last_mut() {
         *last &= u64::MAX >> (width.next_multiple_of(WORD) - width);
     }
 }
 
-/// Sets so many bits to each side of every one that is set.
+/// Sets `half` bits to each side of every one that is set. Bits beyond the row's end may be set, too.
 #[inline(always)]
-fn spread(row: &[u64], half: u32, out: &mut [u64]) {
+pub(super) fn spread(row: &[u64], half: u32, out: &mut [u64]) {
     let mut before = 0;
     for i in 0..row.len() {
         let own = row[i];
@@ -132,7 +140,7 @@ fn spread(row: &[u64], half: u32, out: &mut [u64]) {
     }
 }
 
-/// Sets so many bits beside every one, in one direction, by doubling.
+/// Sets `half` bits beside every one, in one direction, by doubling.
 #[inline(always)]
 fn smear(bits: u128, half: u32, shift: impl Fn(u128, u32) -> u128) -> u128 {
     let (mut bits, mut covered) = (bits, 0);
@@ -144,7 +152,8 @@ fn smear(bits: u128, half: u32, shift: impl Fn(u128, u32) -> u128) -> u128 {
     bits
 }
 
-/// The median of the nine bits around each of a row of `width`: five and more are set. The first and the last have none.
+/// The median of the nine bits around each of a row of `width`: five and more are set. The first and the last have
+/// none.
 #[inline(always)]
 fn median3x3([above, own, below]: [&[u64]; 3], width: usize, count: &mut [Vec<u64>; 2], out: &mut [u64]) {
     let words = own.len();
@@ -168,7 +177,7 @@ fn median3x3([above, own, below]: [&[u64]; 3], width: usize, count: &mut [Vec<u6
         let ((a, b, c), (d, e, f)) = (beside(ones, i), beside(twos, i));
         let (one, two) = sum(a, b, c);
         let (other_two, four) = sum(d, e, f);
-        // Six and more, or four and one more.
+        // Five and more of nine.
         *out = four & (two | other_two) | one & (four | two & other_two);
     }
     let (last, bit) = ((width - 1) / WORD, 1 << ((width - 1) % WORD));
@@ -189,7 +198,8 @@ mod tests {
     use crate::kernels::bit_rows::WORD;
     use proptest::prelude::{ProptestConfig, prop_assert_eq, proptest};
 
-    /// The envelope by its definition, of values: the row closing, then the median of 3 x 3 but for the outermost pixels.
+    /// The envelope by its definition, of values: the row closing, then the median of 3 x 3 but for the outermost
+    /// pixels.
     fn envelope(image: &Plane<u8>, half: usize) -> Plane<u8> {
         let (w, h) = (image.width(), image.height());
         let slide = |from: &Plane<u8>, extreme: fn(u8, u8) -> u8| {

@@ -4,17 +4,21 @@
 //! [`envelope`] thresholds the logarithm of the fringes' upper envelope and keeps every component, so that dark hair
 //! and detached hands survive. The paper's own is [`super::paper::mask`].
 
-pub(crate) mod envelope;
-pub(crate) mod opening;
+mod envelope;
+mod opening;
 
+use super::kernels::connected_components::{self, Piece};
 use super::kernels::pixel_runs::{self, Run, Runs};
-use super::kernels::{connected_components, simd};
+use super::kernels::simd;
+use super::kernels::sliding::extremes;
 use crate::base::image::{Mono8, Plane};
 use envelope::Above;
-use opening::Opening;
 
 /// Pixels at or above this value are over-exposed: their phase means nothing.
 pub const SATURATED: u8 = 250;
+
+/// Width of the closing over the dark half of a fringe, in nominal fringe periods.
+pub(super) const CLOSING_PERIODS: f32 = 1.2;
 
 /// Smallest component that [`envelope`] keeps, px.
 const MIN_COMPONENT_PX: u32 = 400;
@@ -31,48 +35,45 @@ const MAX_ABOVE_BLACK_DN: u8 = 8;
 pub struct Buffers {
     smooth: Plane<u8>,
     closed: [Vec<u8>; 3],
-    sorted: [Vec<u8>; 3],
     row: Vec<u8>,
-    scratch: Scratch,
+    extremes: [Vec<u8>; 2],
     above: Above,
     bits: Vec<u64>,
-    opening: Opening,
+    wide: Vec<u64>,
     runs: Runs,
     /// The object's runs with the pixels that are over-exposed.
     pub lit: Runs,
 }
 
-/// Rows that the opening reaches up and down.
-const OPENING_ROWS: usize = 2;
-
-/// The default mask: the runs of the object, without over-exposed pixels. `period_px` is the nominal fringe period in the
-/// image.
+/// The default mask: the runs of the object, without over-exposed pixels. `period_px` is the nominal fringe period in
+/// the image.
 pub fn envelope(image: Mono8<'_>, period_px: f32, buffers: &mut Buffers, object: &mut Runs) {
-    let width = (1.2 * period_px).ceil() as usize | 1;
+    let width = (CLOSING_PERIODS * period_px).ceil() as usize | 1;
     simd::dispatch(
         #[inline(always)]
         || {
             sample_envelope(image, width, buffers);
-            let Buffers { smooth, above, bits, opening, runs, .. } = &mut *buffers;
+            let Buffers { smooth, above, bits, wide, runs, .. } = &mut *buffers;
             let columns = above.find(image, log_threshold(smooth), width / 2, bits);
-            opening.runs(bits, columns, (image.height(), OPENING_ROWS), runs);
+            opening::runs(bits, columns, image.height(), wide, runs);
         },
     );
     let Buffers { runs, row, lit, .. } = buffers;
-    let (piece, pieces) = connected_components::connect(runs);
-    keep(runs, |place| pieces[piece[place] as usize].area >= MIN_COMPONENT_PX, lit);
+    let is_large = |piece: &Piece| piece.area >= MIN_COMPONENT_PX;
+    connected_components::select(runs, |_, pieces| pieces.iter().map(is_large).collect(), lit);
     part(lit, image, row, object);
 }
 
-/// One row in so many tells the threshold.
+/// Of the image's rows every 16th is used to find the threshold.
 const SAMPLED_ROWS: usize = 16;
 
-/// Some rows of the envelope: a row closing of `width` pixels and a 3 x 3 median of it, whose outermost pixels are copied.
+/// Some rows of the envelope: a row closing of `width` pixels and a 3 x 3 median of it, whose outermost pixels are
+/// copied.
 #[inline(always)]
 fn sample_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
     let (w, h) = (image.width(), image.height());
-    let Buffers { smooth, closed, sorted, row: raised, scratch, .. } = buffers;
-    for row in closed.iter_mut().chain(sorted.iter_mut()).chain([&mut *raised]) {
+    let Buffers { smooth, closed, row: raised, extremes: sliding, .. } = buffers;
+    for row in closed.iter_mut().chain([&mut *raised]) {
         row.resize(w, 0);
     }
     let first = (h / 2).min(SAMPLED_ROWS / 2);
@@ -80,13 +81,15 @@ fn sample_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
     for (out, v) in (first..h).step_by(SAMPLED_ROWS).enumerate() {
         let rows = [v.saturating_sub(1), v, (v + 1).min(h - 1)];
         for (v, closed) in rows.into_iter().zip(&mut *closed) {
-            scratch.sliding(image.row(v), raised, width, u8::max);
-            scratch.sliding(raised, closed, width, u8::min);
+            extremes(image.row(v), width / 2, width, sliding, u8::max);
+            raised.copy_from_slice(&sliding[0][..w]);
+            extremes(raised, width / 2, width, sliding, u8::min);
+            closed.copy_from_slice(&sliding[0][..w]);
         }
         let out = smooth.row_mut(out);
         out.copy_from_slice(&closed[1]);
         if v > 0 && v + 1 < h && w >= 3 {
-            median3x3([&closed[0], &closed[1], &closed[2]], sorted, &mut out[1..w - 1]);
+            median3x3([&closed[0], &closed[1], &closed[2]], &mut out[1..w - 1]);
         }
     }
 }
@@ -94,27 +97,19 @@ fn sample_envelope(image: Mono8<'_>, width: usize, buffers: &mut Buffers) {
 /// 3 x 3 median of three rows: the median of the largest of the column minima, the median of the column medians and
 /// the smallest of the column maxima. The first and the last column have none.
 #[inline(always)]
-fn median3x3([above, own, below]: [&[u8]; 3], [low, middle, high]: &mut [Vec<u8>; 3], out: &mut [u8]) {
-    let w = own.len();
-    let (above, below) = (&above[..w], &below[..w]);
-    let (low, middle, high) = (&mut low[..w], &mut middle[..w], &mut high[..w]);
-    for u in 0..w {
-        let (a, b, c) = (above[u], own[u], below[u]);
+fn median3x3([above, own, below]: [&[u8]; 3], out: &mut [u8]) {
+    let sorted = |a: u8, b: u8, c: u8| {
         let (less, more) = (a.min(b), a.max(b));
-        low[u] = less.min(c);
-        middle[u] = less.max(more.min(c));
-        high[u] = more.max(c);
-    }
-    let median = |x: u8, y: u8, z: u8| x.min(y).max(x.max(y).min(z));
-    let (low, middle, high) = (&low[..], &middle[..], &high[..]);
-    let (l0, l1, l2) = (&low[..w - 2], &low[1..w - 1], &low[2..]);
-    let (m0, m1, m2) = (&middle[..w - 2], &middle[1..w - 1], &middle[2..]);
-    let (h0, h1, h2) = (&high[..w - 2], &high[1..w - 1], &high[2..]);
-    let out = &mut out[..w - 2];
-    for u in 0..w - 2 {
-        let low = l0[u].max(l1[u]).max(l2[u]);
-        let high = h0[u].min(h1[u]).min(h2[u]);
-        out[u] = median(low, median(m0[u], m1[u], m2[u]), high);
+        [less.min(c), less.max(more.min(c)), more.max(c)]
+    };
+    let n = out.len();
+    let (above, own, below) = (&above[..n + 2], &own[..n + 2], &below[..n + 2]);
+    for u in 0..n {
+        let [l0, m0, h0] = sorted(above[u], own[u], below[u]);
+        let [l1, m1, h1] = sorted(above[u + 1], own[u + 1], below[u + 1]);
+        let [l2, m2, h2] = sorted(above[u + 2], own[u + 2], below[u + 2]);
+        let [_, middle, _] = sorted(m0, m1, m2);
+        [_, out[u], _] = sorted(l0.max(l1).max(l2), middle, h0.min(h1).min(h2));
     }
 }
 
@@ -129,7 +124,8 @@ fn log_threshold(envelope: &Plane<u8>) -> u8 {
     }
     let level = otsu_level(&logarithmic);
     let from_otsu = (0..256).rev().find(|&value| bin(value) <= level).unwrap_or(0) as u8;
-    // The most frequent level of the darker class: that of the whole frame is the object's where it fills the frame.
+    // The most frequent level of the darker class. That of the whole frame would be the object's where it fills the
+    // frame.
     let black = (0..=usize::from(from_otsu)).max_by_key(|&i| (counts[i], 256 - i)).unwrap_or(0) as u8;
     from_otsu.clamp(black.saturating_add(MIN_ABOVE_BLACK_DN), black.saturating_add(MAX_ABOVE_BLACK_DN))
 }
@@ -156,50 +152,11 @@ pub(super) fn otsu_level(histogram: &[u32; 256]) -> usize {
     best.1
 }
 
-/// Pixels that are counted together where they are alike, few enough for a byte to count them; and how many levels that is.
-const ALIKE: usize = 192;
-const LEVELS: u8 = 8;
-
-/// How often each value occurs. Most of a photograph is dark and even: there every level is counted in all pixels at once.
-#[inline(always)]
+/// How often each value occurs.
 pub(super) fn histogram(values: &[u8]) -> [u32; 256] {
-    // Four counts for neighbouring pixels: they are often equal, and a count that has just been written is slow to read.
-    let mut counts = [[0u32; 256]; 4];
-    let (parts, rest) = values.as_chunks::<ALIKE>();
-    for part in parts {
-        let (mut least, mut most) = (u8::MAX, 0);
-        for &x in part {
-            (least, most) = (least.min(x), most.max(x));
-        }
-        if most - least >= LEVELS {
-            for four in part.as_chunks::<4>().0 {
-                for (counts, &value) in counts.iter_mut().zip(four) {
-                    counts[usize::from(value)] += 1;
-                }
-            }
-            continue;
-        }
-        for level in least..=most {
-            let mut count = 0u8;
-            for &x in part {
-                count += u8::from(x == level);
-            }
-            counts[0][usize::from(level)] += u32::from(count);
-        }
-    }
-    for &value in rest {
-        counts[0][usize::from(value)] += 1;
-    }
-    std::array::from_fn(|i| counts.iter().map(|counts| counts[i]).sum())
-}
-
-/// Those of some runs, by their place among all, that are the object's.
-fn keep(runs: &Runs, is_object: impl Fn(usize) -> bool, lit: &mut Runs) {
-    lit.clear();
-    for v in 0..runs.height() {
-        runs.places(v).filter(|&place| is_object(place)).for_each(|place| lit.push(runs.all()[place]));
-        lit.end_row();
-    }
+    let mut counts = [0; 256];
+    values.iter().for_each(|&value| counts[usize::from(value)] += 1);
+    counts
 }
 
 /// The object's runs, parted by over-exposed pixels. `row` is memory to use.
@@ -210,7 +167,16 @@ fn part(lit: &Runs, image: Mono8<'_>, row: &mut Vec<u8>, object: &mut Runs) {
         || {
             for v in 0..lit.height() {
                 for run in lit.row(v) {
-                    part_saturated(*run, &image.row(v)[run.columns()], row, object);
+                    let pixels = &image.row(v)[run.columns()];
+                    row.resize(pixels.len(), 0);
+                    for (good, &x) in row.iter_mut().zip(pixels) {
+                        *good = u8::from(x < SATURATED);
+                    }
+                    pixel_runs::runs_of(
+                        row,
+                        #[inline(always)]
+                        |first, end| object.push(Run::new(run.start() + first, run.start() + end)),
+                    );
                 }
                 object.end_row();
             }
@@ -218,62 +184,9 @@ fn part(lit: &Runs, image: Mono8<'_>, row: &mut Vec<u8>, object: &mut Runs) {
     );
 }
 
-/// Adds a run, which has these `pixels`, without those that are over-exposed.
-#[inline(always)]
-fn part_saturated(run: Run, pixels: &[u8], row: &mut Vec<u8>, object: &mut Runs) {
-    // Few runs have any.
-    let mut most = 0;
-    for &x in pixels {
-        most = most.max(x);
-    }
-    if most < SATURATED {
-        return object.push(run);
-    }
-    row.resize(pixels.len(), 0);
-    for (good, &x) in row.iter_mut().zip(pixels) {
-        *good = u8::from(x < SATURATED);
-    }
-    pixel_runs::runs_of(
-        row,
-        #[inline(always)]
-        |first, end| object.push(Run::new(run.start() + first, run.start() + end)),
-    );
-}
-
-/// Buffers of the sliding extremes: the passes go from one to the other, so that nothing overlaps.
-#[derive(Debug, Default)]
-struct Scratch([Vec<u8>; 2]);
-
-impl Scratch {
-    /// `out[i]` = extreme of `row[i - width/2 ..= i + width/2]`; the ends repeat. Doubling: log2(width) passes
-    /// of plain slice operations, which the compiler vectorises.
-    #[inline(always)]
-    fn sliding(&mut self, row: &[u8], out: &mut [u8], width: usize, extreme: impl Fn(u8, u8) -> u8 + Copy) {
-        let (Some(&first), Some(&last)) = (row.first(), row.last()) else { return };
-        let half = width / 2;
-        let [from, to] = &mut self.0;
-        from.clear();
-        from.resize(half, first);
-        from.extend_from_slice(row);
-        from.resize(row.len() + 2 * half, last);
-        to.resize(from.len(), 0);
-        let mut covered = 1;
-        while 2 * covered < width {
-            for ((to, &a), &b) in to.iter_mut().zip(from.iter()).zip(&from[covered..]) {
-                *to = extreme(a, b);
-            }
-            std::mem::swap(from, to);
-            covered *= 2;
-        }
-        for ((to, &a), &b) in out.iter_mut().zip(from.iter()).zip(&from[width - covered..]) {
-            *to = extreme(a, b);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{Buffers, Scratch, envelope, histogram, median3x3};
+    use super::{Buffers, envelope, median3x3};
     use crate::base::image::{Mono8, Plane};
     use crate::kernels::pixel_runs::Runs;
     use proptest::prelude::{any, prop_assert_eq, proptest};
@@ -315,37 +228,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn sliding_maximum_is_the_maximum(row in proptest::collection::vec(any::<u8>(), 1..60), half in 0usize..9) {
-            let mut out = vec![0; row.len()];
-            Scratch::default().sliding(&row, &mut out, 2 * half + 1, u8::max);
-            for (i, &found) in out.iter().enumerate() {
-                let window = &row[i.saturating_sub(half)..(i + half + 1).min(row.len())];
-                prop_assert_eq!(found, window.iter().copied().max().unwrap_or(0));
-            }
-        }
-
-        #[test]
-        fn every_value_is_counted(
-            levels in proptest::collection::vec((any::<u8>(), 1u8..20), 1..6),
-            noise in proptest::collection::vec(any::<u8>(), 0..1000),
-        ) {
-            let value = |(i, x): (usize, &u8)| {
-                let (level, range) = levels[i / 200 % levels.len()];
-                level.saturating_add(x % range)
-            };
-            let values: Vec<u8> = noise.iter().enumerate().map(value).collect();
-            let counts = histogram(&values);
-            for level in 0..=u8::MAX {
-                let plain = values.iter().filter(|&&x| x == level).count();
-                prop_assert_eq!(counts[usize::from(level)] as usize, plain);
-            }
-        }
-
-        #[test]
         fn median_of_nine_is_the_fifth(values in proptest::collection::vec(any::<u8>(), 3 * 40)) {
             let rows = [&values[..40], &values[40..80], &values[80..]];
-            let (mut sorted, mut out) = (std::array::from_fn(|_| vec![0; 40]), vec![0; 38]);
-            median3x3(rows, &mut sorted, &mut out);
+            let mut out = vec![0; 38];
+            median3x3(rows, &mut out);
             for (u, &found) in out.iter().enumerate() {
                 let mut nine: Vec<u8> = rows.iter().flat_map(|row| row[u..u + 3].to_vec()).collect();
                 nine.sort_unstable();

@@ -1,101 +1,63 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Opening by a square of five pixels, or by as many columns of fewer rows, on rows of bits: 64 pixels a word.
+//! Opening by a square of five pixels, on rows of bits: 64 pixels a word.
 
-use crate::kernels::bit_rows::{WORD, even};
+use super::envelope::{clip, complement, spread};
+use crate::kernels::bit_rows::WORD;
 use crate::kernels::pixel_runs::{Run, Runs};
 use std::ops::Range;
 
-/// Side of the square.
-#[cfg(test)]
-const SIDE: usize = 2 * HALF + 1;
-
-/// Pixels that it reaches to each side.
+/// Pixels that the square reaches to each side: it is five wide and high.
 const HALF: usize = 2;
 
-/// Rows of bits that are used again from frame to frame.
-#[derive(Debug, Default)]
-pub(crate) struct Opening {
-    /// What is left along rows and columns, then widened along the rows.
-    wide: Vec<u64>,
-}
-
-impl Opening {
-    /// The runs of a plane of bits of these columns of `h` rows, each row of as many words as it needs, after erosion and dilation by
-    /// five columns of `2 half_rows + 1` rows; outside of the plane its outermost pixels repeat. What is left of the bits is any.
-    #[inline(always)]
-    pub(crate) fn runs(
-        &mut self,
-        narrow: &mut [u64],
-        columns: Range<usize>,
-        (h, half_rows): (usize, usize),
-        runs: &mut Runs,
-    ) {
-        let w = columns.len();
-        let words = w.div_ceil(WORD).max(1);
-        let Self { wide } = self;
-        wide.resize(words * h, 0);
-        for bits in narrow.chunks_exact_mut(words) {
-            along(bits, w, |x, y| x & y);
-        }
-        for (v, out) in wide.chunks_exact_mut(words).enumerate() {
-            across(narrow, words, (v, half_rows), out, |x, y| x & y);
-            along(out, w, |x, y| x | y);
-        }
-        runs.clear();
-        let row = &mut narrow[..words.min(words * h)];
-        for v in 0..h {
-            across(wide, words, (v, half_rows), row, |x, y| x | y);
-            runs_of(row, &columns, runs);
-            runs.end_row();
-        }
-    }
-}
-
-/// Puts each bit of a row of `width` bits together with the two before and behind it; the ends repeat. What lies beyond
-/// `width` is cleared.
+/// The runs of a plane of bits of these columns of `height` rows, each row of as many words as it needs, after erosion
+/// and dilation by a square; outside of the plane its outermost pixels repeat. The bits are overwritten, and `wide` is
+/// memory to use.
 #[inline(always)]
-fn along(bits: &mut [u64], width: usize, together: impl Fn(u64, u64) -> u64 + Copy) {
-    let (Some(&first), Some(last)) = (bits.first(), width.checked_sub(1)) else { return };
-    // From the last pixel on: all as that one is.
-    let (place, shift) = (last / WORD, last % WORD);
-    let rest = u64::MAX << shift;
-    let repeated = |bit: u64| 0u64.wrapping_sub(bit & 1);
-    let end = repeated(bits[place] >> shift);
-    bits[place] = bits[place] & !rest | end & rest;
-    let mut before = repeated(first);
-    for i in 0..=place {
-        let own = bits[i];
-        let behind = if i < place { bits[i + 1] } else { end };
-        // Most words are empty or full, and those beside them.
-        if !even(own) || before != own || behind != own {
-            let mut out = own;
-            for k in 1..=HALF as u32 {
-                let left = own << k | before >> (u64::BITS - k);
-                let right = own >> k | behind << (u64::BITS - k);
-                out = together(together(out, left), right);
-            }
-            bits[i] = out;
-        }
-        before = own;
-    }
-    bits[place] &= u64::MAX >> (WORD - 1 - shift);
-}
-
-/// Puts row `v` together with `half` rows above and below, as far as there are.
-#[inline(always)]
-fn across(
-    plane: &[u64],
-    words: usize,
-    (v, half): (usize, usize),
-    out: &mut [u64],
-    together: impl Fn(u64, u64) -> u64 + Copy,
+pub(crate) fn runs(
+    bits: &mut [u64],
+    columns: Range<usize>,
+    height: usize,
+    wide: &mut Vec<u64>,
+    runs: &mut Runs,
 ) {
+    let words = columns.len().div_ceil(WORD).max(1);
+    wide.resize(words * height, 0);
+    // Erosion: bits that are not set spread.
+    for row in bits.chunks_exact_mut(words) {
+        complement(row, columns.len());
+    }
+    spread_rows(bits, words, wide);
+    for (v, row) in bits.chunks_exact_mut(words).enumerate() {
+        around(wide, words, v, row);
+        complement(row, columns.len());
+    }
+    spread_rows(bits, words, wide);
+    runs.clear();
+    let row = &mut bits[..words.min(words * height)];
+    for v in 0..height {
+        around(wide, words, v, row);
+        clip(row, columns.len());
+        runs_of(row, &columns, runs);
+        runs.end_row();
+    }
+}
+
+/// Sets the bits to each side of every one that is set, along all rows.
+#[inline(always)]
+fn spread_rows(bits: &[u64], words: usize, wide: &mut [u64]) {
+    for (row, wide) in bits.chunks_exact(words).zip(wide.chunks_exact_mut(words)) {
+        spread(row, HALF as u32, wide);
+    }
+}
+
+/// What is set in row `v`, or in those above and below it that the square reaches.
+#[inline(always)]
+fn around(plane: &[u64], words: usize, v: usize, out: &mut [u64]) {
     let height = plane.len() / words;
-    let rows = v.saturating_sub(half)..(v + half + 1).min(height);
-    out.copy_from_slice(&plane[v * words..(v + 1) * words]);
-    for other in rows.filter(|&other| other != v) {
+    out.fill(0);
+    for other in v.saturating_sub(HALF)..(v + HALF + 1).min(height) {
         for (out, &x) in out.iter_mut().zip(&plane[other * words..]) {
-            *out = together(*out, x);
+            *out |= x;
         }
     }
 }
@@ -125,21 +87,22 @@ fn runs_of(bits: &[u64], columns: &Range<usize>, runs: &mut Runs) {
 
 #[cfg(test)]
 mod tests {
-    use super::{HALF, Opening, SIDE};
+    use super::{HALF, runs};
     use crate::base::image::Plane;
     use crate::kernels::bit_rows::WORD;
     use crate::kernels::pixel_runs::{Run, Runs};
     use proptest::prelude::{ProptestConfig, prop_assert_eq, proptest};
 
     /// By the definition: all of, or any of, the square around each pixel.
-    fn plain(plane: &Plane<u8>, half_rows: usize, all: bool) -> Plane<u8> {
+    fn plain(plane: &Plane<u8>, all: bool) -> Plane<u8> {
+        const SIDE: usize = 2 * HALF + 1;
         let (w, h) = (plane.width(), plane.height());
         let mut out = Plane::filled(w, h, 0);
         for v in 0..h {
             for u in 0..w {
-                let near = (0..SIDE * (2 * half_rows + 1)).map(|i| {
-                    let place = |x: usize, half: usize, end: usize| x.saturating_sub(half).min(end - 1);
-                    plane.at(place(u + i % SIDE, HALF, w), place(v + i / SIDE, half_rows, h)) != 0
+                let near = (0..SIDE * SIDE).map(|i| {
+                    let place = |x: usize, end: usize| x.saturating_sub(HALF).min(end - 1);
+                    plane.at(place(u + i % SIDE, w), place(v + i / SIDE, h)) != 0
                 });
                 let mut near = near;
                 out.set(u, v, u8::from(if all { near.all(|x| x) } else { near.any(|x| x) }));
@@ -154,7 +117,6 @@ mod tests {
         fn bits_are_opened_as_pixels_are(
             w in 1usize..200,
             h in 1usize..12,
-            half_rows in 1usize..=HALF,
             first in 0usize..100,
             holes in proptest::collection::vec((0usize..200, 0usize..12), 0..30),
         ) {
@@ -167,14 +129,14 @@ mod tests {
                 bits[v * words + u / WORD] &= !(1 << (u % WORD));
             }
             let mut expected = Runs::default();
-            let opened = Runs::of(&plain(&plain(&ones, half_rows, true), half_rows, false));
+            let opened = Runs::of(&plain(&plain(&ones, true), false));
             for v in 0..h {
                 let moved = opened.row(v).iter().map(|run| Run::new(run.start() + first, run.end() + first));
                 moved.for_each(|run| expected.push(run));
                 expected.end_row();
             }
             let mut found = Runs::default();
-            Opening::default().runs(&mut bits, first..first + w, (h, half_rows), &mut found);
+            runs(&mut bits, first..first + w, h, &mut Vec::new(), &mut found);
             prop_assert_eq!(found.height(), h);
             for v in 0..h {
                 prop_assert_eq!(found.row(v), expected.row(v));

@@ -1,24 +1,33 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The cells around points at grazing incidence: a grid of bits, so that only what lies near such a point is sorted.
 
-/// Cells of the grid at most: 8 MiB of bits. Where points lie further apart, cells grow; what is decided stays the same.
+/// Cells of the grid at most: 8 MiB of bits. Where points lie further apart, cells grow; what is decided stays the
+/// same.
 const MOST_CELLS: f64 = (1 << 26) as f64;
 
-/// Cubic cells over the points at grazing incidence and all that is within reach of them.
-pub(crate) struct Grid {
+/// Cubic cells over the points at grazing incidence and all that is within reach of them, and which of the cells are
+/// within that reach.
+pub(crate) struct Cells {
+    /// The corner of the grid, world, m.
     origin: [f64; 3],
     per_m: f64,
     size: [usize; 3],
     reach_m: f64,
+    /// A bit for each cell: whether it is marked, within reach of such a point.
+    marked: Vec<u64>,
+    /// For each word of these, the marked cells before it.
+    before: Vec<u32>,
+    /// How many cells are marked.
+    pub(crate) count: usize,
 }
 
-impl Grid {
-    /// Lays cells around points; `None` where there are none.
-    pub(crate) fn around(points: impl Iterator<Item = [f64; 3]>, reach_m: f64) -> Option<Self> {
-        // A little more, so that rounding keeps nobody out: the distance itself decides.
+impl Cells {
+    /// Lays cells around points, and marks those within reach; `None` where there are none.
+    pub(crate) fn around(points: impl Iterator<Item = [f64; 3]> + Clone, reach_m: f64) -> Option<Self> {
+        // A little more, so that rounding excludes no point: the distance itself decides.
         let reach_m = reach_m * 1.001;
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-        for point in points {
+        for point in points.clone() {
             for axis in 0..3 {
                 low[axis] = low[axis].min(point[axis] - reach_m);
                 high[axis] = high[axis].max(point[axis] + reach_m);
@@ -33,7 +42,22 @@ impl Grid {
         while across(side_m).iter().product::<f64>() > MOST_CELLS {
             side_m *= 2.0;
         }
-        Some(Self { origin: low, per_m: 1.0 / side_m, size: across(side_m).map(|x| x as usize), reach_m })
+        let size = across(side_m).map(|x| x as usize);
+        let mut marked = vec![0u64; size.iter().product::<usize>().div_ceil(64)];
+        let (origin, per_m) = (low, 1.0 / side_m);
+        let mut cells =
+            Self { origin, per_m, size, reach_m, marked: Vec::new(), before: Vec::new(), count: 0 };
+        for point in points {
+            cells.any_within_reach(point, |cell| {
+                marked[cell / 64] |= 1 << (cell % 64);
+                false
+            });
+        }
+        for word in &marked {
+            cells.before.push(cells.count as u32);
+            cells.count += word.count_ones() as usize;
+        }
+        Some(Self { marked, ..cells })
     }
 
     /// The cell of a place along an axis, held to the grid. It never falls as the place rises.
@@ -48,7 +72,7 @@ impl Grid {
         (z * self.size[1] + y) * self.size[0] + x
     }
 
-    /// Whether `visit` says yes to any of the cells within reach of a point; the first that it does ends it.
+    /// Whether `visit` is true for any of the cells within reach of a point. The first such cell ends the search.
     pub(crate) fn any_within_reach(&self, point: [f64; 3], mut visit: impl FnMut(usize) -> bool) -> bool {
         let range = |axis: usize| {
             self.along(axis, point[axis] - self.reach_m)..=self.along(axis, point[axis] + self.reach_m)
@@ -65,35 +89,6 @@ impl Grid {
             }
         }
         false
-    }
-}
-
-/// The cells of a grid that are within reach of points at grazing incidence.
-pub(crate) struct Cells {
-    pub(crate) grid: Grid,
-    /// A bit a cell.
-    marked: Vec<u64>,
-    /// For each word of these, the marked cells before it.
-    before: Vec<u32>,
-    /// Marked cells.
-    pub(crate) count: usize,
-}
-
-impl Cells {
-    pub(crate) fn mark(grid: Grid, points: impl Iterator<Item = [f64; 3]>) -> Self {
-        let words = grid.size.iter().product::<usize>().div_ceil(64);
-        let (mut marked, mut before, mut count) = (vec![0u64; words], Vec::with_capacity(words), 0);
-        for point in points {
-            grid.any_within_reach(point, |cell| {
-                marked[cell / 64] |= 1 << (cell % 64);
-                false
-            });
-        }
-        for word in &marked {
-            before.push(count as u32);
-            count += word.count_ones() as usize;
-        }
-        Self { grid, marked, before, count }
     }
 
     /// The number of a cell among the marked ones, if it is one.

@@ -15,21 +15,21 @@ mod grid;
 use crate::data::Cloud;
 use crate::formats::ply::{self, Header, Part};
 use crate::geometry::Device;
-use grid::{Cells, Grid};
+use grid::Cells;
 use rayon::prelude::*;
 use std::io;
 use std::path::Path;
 
-/// The comment of directional clouds that tells from where they are seen and lit.
+/// Key of the comment of directional clouds that states from where they are seen and lit.
 const SEEN_FROM: &str = "seen_from";
 
-/// The comment of merged clouds that tells how many points of the directional ones they lack.
+/// Key of the comment of merged clouds that states how many points of the directional ones they lack.
 const GRAZING_REMOVED: &str = "grazing_removed";
 
 /// From where a directional cloud is seen and lit, and by which head.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Viewpoint {
-    /// The head's name.
+    /// The name of the head.
     pub head: String,
     /// The camera's projection centre, world, m.
     pub camera_m: [f64; 3],
@@ -63,7 +63,7 @@ impl Viewpoint {
     }
 }
 
-/// The comment of a merged cloud that lacks so many points of its directional clouds.
+/// The comment of a merged cloud that lacks `removed` points of its directional clouds.
 pub fn removed_comment(removed: usize) -> String {
     format!("{GRAZING_REMOVED} {removed}")
 }
@@ -78,8 +78,8 @@ pub fn split_removed(comments: &[String]) -> Option<(&[String], usize)> {
 /// When a point is left out.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rule {
-    /// Incidence is grazing where the cosine of the angle between the normal and the direction to the camera, or that to
-    /// the projector, is below this.
+    /// Incidence is grazing where the cosine of the angle between the normal and the direction to the camera, or that
+    /// to the projector, is below this.
     pub grazing: f32,
     /// A point is seen well where both are at least this; above `grazing`.
     pub well: f32,
@@ -101,9 +101,9 @@ impl Default for Rule {
 pub struct View<'a> {
     /// Its camera's number in merged clouds.
     pub camera: u8,
-    /// The cloud.
+    /// The directional cloud, in the world frame, m.
     pub cloud: &'a Cloud,
-    /// Its camera's place.
+    /// From where it is seen and lit; `None` where that is not known.
     pub from: Option<&'a Viewpoint>,
 }
 
@@ -112,7 +112,7 @@ pub struct View<'a> {
 pub struct LeftOut {
     /// For each cloud, whether each of its points is left out; empty where none is.
     pub points: Vec<Vec<bool>>,
-    /// How many are.
+    /// How many points of all clouds are left out.
     pub removed: usize,
     /// Whether it is known of any cloud from where it is seen: else there was nothing to decide.
     pub decided: bool,
@@ -134,9 +134,8 @@ pub fn left_out(views: &[View<'_>], rule: Rule) -> LeftOut {
         removed: 0,
         decided: views.iter().any(|view| view.from.is_some()),
     };
-    let grazing = || views.iter().zip(&sights).flat_map(|(view, sight)| sight.grazing(view.cloud));
-    let Some(grid) = Grid::around(grazing(), f64::from(rule.reach_m)) else { return found };
-    let cells = Cells::mark(grid, grazing());
+    let grazing = views.iter().zip(&sights).flat_map(|(view, sight)| sight.grazing(view.cloud));
+    let Some(cells) = Cells::around(grazing, f64::from(rule.reach_m)) else { return found };
     let seen_well = SeenWell::sort(&cells, views, &sights);
     let decide = |(view, sight): (&View<'_>, &Sight)| {
         let cloud = view.cloud;
@@ -175,7 +174,8 @@ pub fn merged(views: &[View<'_>], left_out: &LeftOut) -> Cloud {
     merged
 }
 
-/// Writes the merged cloud with `comments` and what it lacks, without putting it together first; the number of its points.
+/// Writes the merged cloud with `comments` and what it lacks, without putting it together first; the number of its
+/// points.
 pub fn save(
     path: &Path,
     views: &[View<'_>],
@@ -190,8 +190,8 @@ pub fn save(
     Ok(parts.iter().map(Part::points).sum())
 }
 
-/// Whether this is the header of what [`save`] writes with `comments` of clouds that have so many points together; `decided` as in
-/// [`LeftOut`].
+/// Whether this is the header of what [`save`] writes with `comments` of clouds that have `points` points together;
+/// `decided` as in [`LeftOut`].
 pub fn is_finished(header: &Header, comments: &[String], points: usize, decided: bool) -> bool {
     let stated = if decided { split_removed(&header.comments) } else { Some((&header.comments[..], 0)) };
     stated.is_some_and(|(own, removed)| own == comments && header.points.checked_add(removed) == Some(points))
@@ -230,14 +230,15 @@ impl Sight {
         Self { head, grazing: grazing.map(|(i, _)| i).collect(), incidence }
     }
 
-    fn grazing<'a>(&'a self, cloud: &'a Cloud) -> impl Iterator<Item = [f64; 3]> + 'a {
+    fn grazing<'a>(&'a self, cloud: &'a Cloud) -> impl Iterator<Item = [f64; 3]> + Clone + 'a {
         self.grazing.iter().map(|&i| cloud.position_m[i as usize].map(f64::from))
     }
 }
 
 impl Rule {
-    /// How a point is seen from its camera and lit by its projector. What is not a number, or further than 1e19 m away, is
-    /// seen neither well nor grazing. Squares are compared, with their signs: roots and quotients are dearer than all the rest.
+    /// How a point is seen from its camera and lit by its projector. What is not a number, or further than 1e19 m
+    /// away, is seen neither well nor grazing. Squares are compared, with their signs: roots and quotients are dearer
+    /// than all the rest.
     #[inline]
     fn incidence(&self, from: [[f32; 3]; 2], place: [f32; 3], normal: [f32; 3]) -> Incidence {
         let (mut well, mut grazing, mut finite) = (true, false, true);
@@ -264,7 +265,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 struct Candidate {
     place: [f32; 3],
     normal: [f32; 3],
-    /// As in [`Sight`].
+    /// The head's number, as in [`Sight::head`].
     head: usize,
 }
 
@@ -283,7 +284,7 @@ impl SeenWell {
             let well = |(_, incidence): &(usize, &Incidence)| **incidence == Incidence::Well;
             for (i, _) in sight.incidence.iter().enumerate().filter(well) {
                 let place = cloud.position_m[i];
-                if let Some(cell) = cells.number(cells.grid.of(place)) {
+                if let Some(cell) = cells.number(cells.of(place)) {
                     found.push((cell as u32, Candidate { place, normal: cloud.normal[i], head }));
                 }
             }
@@ -315,7 +316,7 @@ impl SeenWell {
                 && dot(apart, apart) <= reach_2
                 && dot(other.normal, point.normal) >= rule.agree
         };
-        cells.grid.any_within_reach(point.place.map(f64::from), |cell| {
+        cells.any_within_reach(point.place.map(f64::from), |cell| {
             let Some(cell) = cells.number(cell) else { return false };
             self.points[self.starts[cell] as usize..self.starts[cell + 1] as usize].iter().any(stands)
         })

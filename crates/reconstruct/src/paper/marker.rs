@@ -2,7 +2,7 @@
 //! Marker map Mm and the shift from Um to Fm (paper, Equation 5, Figure 9).
 
 use super::mask::largest_segment;
-use super::one_if;
+use super::planes::one_if;
 use crate::base::image::{Mono8, Plane};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex;
@@ -16,8 +16,8 @@ const THRESHOLD: f32 = 0.35;
 
 /// What Mm is cut from, and Mm: the largest segment of what exceeds the threshold, 1 there and 0 elsewhere.
 ///
-/// `period_px` is the period of the marker's modulation along the fringe, which is a column of the image, and `contrast` its projected
-/// amplitude relative to the light.
+/// `period_px` is the period of the marker's modulation along the fringe, which is a column of the image, and
+/// `contrast` its projected amplitude relative to the light.
 pub fn find(
     image: Mono8<'_>,
     object: &Plane<f32>,
@@ -29,9 +29,9 @@ pub fn find(
     (energy, marker)
 }
 
-/// Amplitude of each column's light in the marker's band, relative to the mean light of its object pixels; 0 beside the
-/// object. Of the Fourier transform the band's positive frequencies alone are transformed back, so that the magnitude is the
-/// amplitude.
+/// Amplitude of each column's light in the marker's band, relative to the mean light of its object pixels; 0 beside
+/// the object. Of the Fourier transform the band's positive frequencies alone are transformed back, so that the
+/// magnitude is the amplitude.
 fn band_energy(image: Mono8<'_>, object: &Plane<f32>, period_px: f32) -> Plane<f32> {
     let rows = image.height();
     let mut planner = FftPlanner::<f32>::new();
@@ -58,7 +58,7 @@ fn band_energy(image: Mono8<'_>, object: &Plane<f32>, period_px: f32) -> Plane<f
 
 /// Equation 5: the shift, rad, from Um to Fm, with the median of Um under the marker; `None` without a marker.
 ///
-/// Only the fringe's bright half is asked, |Wm| < pi / 2: with the pixels between two fringes the median can sit on
+/// Only the fringe's bright half counts, |Wm| < pi / 2: with the pixels between two fringes the median can sit on
 /// their border.
 pub fn shift(
     unwrapped: &Plane<f32>,

@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Object mask Om (paper, Figure 6): Otsu's threshold, dilation and erosion, the largest segment.
 
-use super::{box_sum, one_if};
+use super::planes::{box_sum, one_if};
 use crate::base::image::{Mono8, Plane};
-use crate::kernels::connected_components;
-use crate::mask::{SATURATED, histogram, otsu_level};
+use crate::kernels::connected_components::{self, Piece};
+use crate::kernels::pixel_runs::Runs;
+use crate::mask::{CLOSING_PERIODS, SATURATED, histogram, otsu_level};
 
 /// Om: 1 on the object, 0 elsewhere. `period_px` is the nominal fringe period in the image.
 ///
-/// Over-exposed pixels have no part in the threshold, and leave the mask at the end, else the erosion would give them back.
+/// Over-exposed pixels have no part in the threshold, and leave the mask at the end, else the erosion would give them
+/// back.
 pub fn object(image: Mono8<'_>, period_px: f32) -> Plane<f32> {
     let mut counts = histogram(image.as_slice());
     counts[usize::from(SATURATED)..].fill(0);
@@ -16,7 +18,7 @@ pub fn object(image: Mono8<'_>, period_px: f32) -> Plane<f32> {
     let (w, h) = (image.width(), image.height());
     let bright = Plane::from_fn(w, h, |u, v| one_if(usize::from(image.row(v)[u]) > level));
     // A square of 1.2 periods closes the dark half of a fringe, which is object, too.
-    let reach = (1.2 * period_px).ceil() as usize / 2;
+    let reach = (CLOSING_PERIODS * period_px).ceil() as usize / 2;
     let inverse = |plane: &Plane<f32>| plane.map(|x| 1.0 - x);
     let dilated = dilate(&bright, reach);
     let eroded = inverse(&dilate(&inverse(&dilated), reach));
@@ -31,9 +33,15 @@ fn dilate(mask: &Plane<f32>, reach: usize) -> Plane<f32> {
 
 /// The largest of the 8-connected segments of a mask of zeros and ones, the first of several.
 pub(super) fn largest_segment(mask: &Plane<f32>) -> Plane<f32> {
-    let segments = connected_components::label(&mask.map(|x| x as u8));
-    let largest = (1..segments.area.len()).max_by_key(|&i| (segments.area[i], usize::MAX - i));
-    segments.label.map(|label| one_if(Some(label as usize) == largest))
+    let (all, mut largest) = (Runs::of(&mask.map(|x| x as u8)), Runs::default());
+    let choose = |_: &[u32], pieces: &[Piece]| {
+        let largest = (0..pieces.len()).max_by_key(|&i| (pieces[i].area, usize::MAX - i));
+        (0..pieces.len()).map(|i| Some(i) == largest).collect()
+    };
+    connected_components::select(&all, choose, &mut largest);
+    let mut out = Plane::filled(mask.width(), mask.height(), 0);
+    largest.paint(&mut out);
+    out.map(f32::from)
 }
 
 #[cfg(test)]

@@ -5,18 +5,13 @@
 //! planes that bear the paper's names, its stages are loops over pixels, and time is no concern. What the paper leaves
 //! open is settled where it comes up, and listed in `docs/design/reconstruction.md`.
 
-/// Marker map Mm and absolute phase Fm.
-pub mod marker;
-/// Object mask Om.
-pub mod mask;
-/// Fringe period Pm, amplitude Am, stability Sm.
-pub mod period;
-/// Wrapped phase Wm.
-pub mod phase;
-/// Verticality Vm, border map Bm, quality Qm.
-pub mod quality;
-/// Unwrapped phase Um.
-pub mod unwrap;
+pub(crate) mod marker;
+pub(crate) mod mask;
+pub(crate) mod period;
+pub(crate) mod phase;
+mod planes;
+pub(crate) mod quality;
+pub(crate) mod unwrap;
 
 use super::counts::Counts;
 use super::fringe_order::Regions;
@@ -30,28 +25,28 @@ use super::triangulate::points::{self, KnownPixels};
 use super::triangulate::ray_table::RayTable;
 use crate::base::image::{Mono8, Plane};
 
-/// Counterpart of [`crate::batch::key::ALGORITHM`] for this method: raised whenever the same frames may give other points.
+/// The version of this method in `reconstruct.json`: raised whenever the same frames may give other points.
 pub const ALGORITHM: u32 = 31;
 
-/// What fringe orders by this method are not checked against.
+/// What a summary states under `unchecked` of results by this method.
 pub const UNCHECKED: &str =
     "the paper's method: each camera's fringe orders follow from its own marker alone";
 
 /// What Section 4.1 makes of a photograph; all planes are as large as that.
 #[derive(Debug)]
-pub struct AbsolutePhase {
+pub(crate) struct AbsolutePhase {
     /// Fm, rad; NaN where it is unknown, and everywhere without a marker.
     pub fm: Plane<f32>,
     /// Mean light over one fringe, DN: the intensity of the cloud's points.
     pub light: Plane<f32>,
-    /// How it went. What has a wrapped phase and no absolute one is refused.
+    /// Pixel counts. A pixel with a wrapped phase and no absolute one counts as refused.
     pub counts: Counts,
     /// Om to Mm by name; Em is what Mm is cut from. Their units stand where they are made.
     pub maps: Vec<(&'static str, Plane<f32>)>,
 }
 
 /// Section 4.1 for a photograph by the camera of `pair`.
-pub fn absolute_phase(image: Mono8<'_>, pair: &CameraProjector) -> AbsolutePhase {
+pub(crate) fn absolute_phase(image: Mono8<'_>, pair: &CameraProjector) -> AbsolutePhase {
     let om = mask::object(image, pair.period_px);
     let (pm, am) = period::measure(image, &om, pair.period_px);
     let sm = period::stability(&pm, pair.period_px);
@@ -95,17 +90,4 @@ pub(super) fn reconstruct(
     planes.push(("Fm", fm));
     let maps = keep_maps.then_some(Maps { roi, frame: (width, height), planes });
     Reconstruction { cloud, phase, outcome, counts, regions: Regions::default(), stages: clock.0, maps }
-}
-
-/// 1 where it is so, else 0.
-fn one_if(is: bool) -> f32 {
-    f32::from(u8::from(is))
-}
-
-/// Sum over the box of `columns` and `rows` to each side of every pixel, as far as the plane goes.
-fn box_sum(plane: &Plane<f32>, columns: usize, rows: usize) -> Plane<f32> {
-    let (w, h) = (plane.width(), plane.height());
-    let around = |x: usize, reach: usize, end: usize| x.saturating_sub(reach)..(x + reach + 1).min(end);
-    let along = Plane::from_fn(w, h, |u, v| plane.row(v)[around(u, columns, w)].iter().sum::<f32>());
-    Plane::from_fn(w, h, |u, v| around(v, rows, h).map(|v| along.at(u, v)).sum::<f32>())
 }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Fringe period Pm, amplitude Am and period stability Sm (paper, Figure 7a to c).
 
-use super::{box_sum, one_if};
+use super::planes::{box_sum, one_if};
 use crate::base::image::{Mono8, Plane};
-use crate::phase::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS};
+use crate::phase::period::{HYSTERESIS, PERIOD_RANGE_PX, SMOOTH_COLUMNS, SMOOTH_ROWS, WINDOW_PERIODS};
 use std::ops::Range;
 
 /// Pm, px, and Am, DN; both 0 where they are unknown.
@@ -11,7 +11,7 @@ use std::ops::Range;
 /// The neighbourhood of a pixel is a window along the row, across the fringes, of 2.6 nominal periods: the least that
 /// holds two whole ones. Pm is the mean over a small box, because two crossings alone are noisy.
 pub fn measure(image: Mono8<'_>, object: &Plane<f32>, nominal_px: f32) -> (Plane<f32>, Plane<f32>) {
-    let length = 2 * (1.3 * nominal_px).round() as usize + 1;
+    let length = 2 * (WINDOW_PERIODS * nominal_px).round() as usize + 1;
     let mut counted = Plane::filled(image.width(), image.height(), 0.0);
     let mut amplitude = counted.clone();
     for v in 0..image.height() {
@@ -31,8 +31,8 @@ pub fn measure(image: Mono8<'_>, object: &Plane<f32>, nominal_px: f32) -> (Plane
     (Plane::from_fn(image.width(), image.height(), mean), amplitude)
 }
 
-/// The columns of the object around `u`, as many as `length` if that is possible without a gap. Where the object ends the
-/// window is shifted, not cut.
+/// The columns of the object around `u`, as many as `length` if that is possible without a gap. Where the object ends
+/// the window is shifted, not cut.
 fn window(object: &[f32], u: usize, length: usize) -> Range<usize> {
     let (mut start, mut end) = (u, u + 1);
     while end - start < length {
@@ -49,9 +49,9 @@ fn window(object: &[f32], u: usize, length: usize) -> Range<usize> {
     start..end
 }
 
-/// The mean distance of crossings of the threshold that have the same direction, which is every second one; 0 where there are too few,
-/// or it is no period. A crossing counts once the light has left the threshold by `margin` on the other side: noise
-/// crosses it as well.
+/// The mean distance of crossings of the threshold that have the same direction, which is every second one; 0 where
+/// there are too few, or it is no period. A crossing counts once the light has left the threshold by `margin` on the
+/// other side: noise crosses it as well.
 fn count(light: &[u8], threshold: f32, margin: f32) -> f32 {
     let mut crossings = Vec::new();
     // Where the light crossed last, and on which side of the threshold it was last for certain: 0 at first.
@@ -74,8 +74,8 @@ fn count(light: &[u8], threshold: f32, margin: f32) -> f32 {
     if PERIOD_RANGE_PX.contains(&mean) { mean } else { 0.0 }
 }
 
-/// Sm: the variance of Pm along the row over one nominal period to each side, as `1 / (1 + variance / px^2)`, so that it is large where
-/// periods are stable; 0 where Pm is unknown.
+/// Sm: the variance of Pm along the row over one nominal period to each side, as `1 / (1 + variance / px^2)`, so that
+/// it is large where periods are stable; 0 where Pm is unknown.
 pub fn stability(period: &Plane<f32>, nominal_px: f32) -> Plane<f32> {
     let sum = |values: &Plane<f32>| box_sum(values, nominal_px.round() as usize, 0);
     let known = sum(&period.map(|p| one_if(p > 0.0)));
@@ -97,7 +97,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn the_period_of_a_noisy_sine_is_found(period in 6.0f32..18.0, phase in -3.0f32..3.0, amplitude in 15.0f32..100.0) {
+        fn the_period_of_a_noisy_sine_is_found(
+            period in 6.0f32..18.0, phase in -3.0f32..3.0, amplitude in 15.0f32..100.0,
+        ) {
             let image = Plane::from_fn(200, 3, |u, v| {
                 let noise = ((u * 7919 + v * 104_729) % 13) as f32 / 6.5 - 1.0;
                 let wave = (std::f32::consts::TAU * u as f32 / period + phase).cos();

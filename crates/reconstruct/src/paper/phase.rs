@@ -8,7 +8,7 @@ use crate::phase::demodulate::{self, Gains, of_samples};
 ///
 /// The seven samples lie a sixth of the local period apart, between pixels by linear interpolation. They cover one
 /// period, all of which has to be object. `sign` is that of the phase along the columns: the formula alone yields one
-/// that grows. It is shared with the default method, which says what it is.
+/// that grows. The formula is that of the default method ([`crate::phase::demodulate`]).
 pub fn demodulate(
     image: Mono8<'_>,
     object: &Plane<f32>,

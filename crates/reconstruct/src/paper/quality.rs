@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Verticality Vm, border map Bm and quality Qm (paper, Equations 1 to 4, Figure 8).
 
-use super::box_sum;
+use super::planes::box_sum;
 use crate::base::image::{Mono8, Plane};
 
 /// Half side of the box that blurs Om to Bm, px.

@@ -9,8 +9,8 @@ use std::f32::consts::TAU;
 /// Um, rad, from Wm, rad, and Qm, 0 to 1; NaN where no branch leads to.
 ///
 /// The tree grows from a seed by the best branch that leaves it (Prim), a branch being as good as the worse of the two
-/// neighbours that it joins. Along a branch the wrapped step is taken as the true one. The paper's seed is random among the
-/// best tenth of Qm. Any seed of one segment gives the same tree, so the best pixel will do.
+/// neighbours that it joins. Along a branch the wrapped step is taken as the true one. The paper's seed is random
+/// among the best tenth of Qm. Any seed of one segment gives the same tree, so the best pixel will do.
 pub fn unwrap(wrapped: &Plane<f32>, quality: &Plane<f32>) -> Plane<f32> {
     let (width, pixels) = (wrapped.width(), wrapped.as_slice().len());
     let mut unwrapped = wrapped.map(|_| f32::NAN);
@@ -20,7 +20,8 @@ pub fn unwrap(wrapped: &Plane<f32>, quality: &Plane<f32>) -> Plane<f32> {
         return unwrapped;
     };
     let phase = unwrapped.as_mut_slice();
-    // Quality, the pixel that is reached, and that from which. Bits of numbers that are not negative are ordered as these.
+    // Quality, the pixel that is reached, and that from which. Bits of numbers that are not negative are ordered as
+    // these.
     let mut branches = BinaryHeap::from([(quality[seed].to_bits(), Reverse(seed), seed)]);
     while let Some((_, Reverse(pixel), from)) = branches.pop() {
         if !phase[pixel].is_nan() {
@@ -59,7 +60,8 @@ mod tests {
     }
 
     proptest! {
-        /// A planted surface with a tear of poor quality, across which steps are no steps, is unwrapped around the tear.
+        /// A planted surface with a tear of poor quality, across which steps are no steps, is unwrapped around the
+        /// tear.
         #[test]
         fn a_planted_surface_is_found_around_a_tear(
             slopes in (-2.0f32..2.0, -2.0f32..2.0),

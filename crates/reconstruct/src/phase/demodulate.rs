@@ -21,30 +21,34 @@ use std::f32::consts::TAU;
 use std::hint::black_box;
 use std::ops::Range;
 
-/// Rows averaged on each side.
-const ROWS_EACH_SIDE: usize = 2;
+/// Rows averaged on each side of a pixel's own row.
+pub(crate) const ROWS_EACH_SIDE: usize = 2;
 
-/// Rows that a mean is taken of.
+/// Rows that the mean phasor of a pixel is taken of, at most.
 pub const ROWS: usize = 2 * ROWS_EACH_SIDE + 1;
 
 /// Rows whose misfit exceeds the pixel's own by more than this are left out of the mean.
-const MORE_MISFIT: f32 = 0.03;
+pub(crate) const MORE_MISFIT: f32 = 0.03;
 
 /// Row phasors must point the same way at least this much for their mean to be taken: |mean| / mean of |.|.
 const MIN_COHERENCE: f32 = 0.9;
 
-/// Gains of the two sums by period, with linear interpolation of the samples: the bits of that of S, and above those of C.
+/// Gains of the two sums by period, with linear interpolation of the samples: the bits of that of S, and above those
+/// of C.
 #[derive(Debug, Clone)]
 pub struct Gains(Box<[u64; GAINS]>);
 
+/// Entries of the table per px of the period.
 const GAINS_PER_PX: f32 = 32.0;
+
+/// The longest period that the table has gains for, px.
 const GAIN_MAX_PX: f32 = 40.0;
 
-/// Room for them: a power of two, so that the low bits of any number are a place.
+/// Entries of the table of gains: a power of two, so that the low bits of any number are a place.
 const GAINS: usize = 2048;
 
 /// Half of the longest period that is demodulated, px.
-const MAX_HALF: f32 = GAIN_MAX_PX / 2.0;
+pub(crate) const MAX_HALF: f32 = GAIN_MAX_PX / 2.0;
 
 impl Gains {
     /// The table, from the interpolated cosine and sine themselves.
@@ -74,6 +78,7 @@ impl Gains {
     /// Where the factors of a period are.
     #[inline(always)]
     fn place(period: f32) -> u32 {
+        /// The entry of the longest period.
         const LAST: f32 = GAIN_MAX_PX * GAINS_PER_PX;
         let at = period * GAINS_PER_PX;
         whole(if at < LAST { at } else { LAST }) as u32
@@ -101,12 +106,7 @@ impl Gains {
     }
 }
 
-impl Default for Gains {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
+/// The square root of 3.
 const ROOT3: f32 = 1.732_050_8;
 
 /// Seven samples as their middle, and the sums and differences of those at equal distances, from the nearest on.
@@ -126,7 +126,7 @@ impl Folded {
         }
     }
 
-    /// (S, C).
+    /// The sums (S, C) of the formula.
     #[inline(always)]
     fn sums(&self) -> (f32, f32) {
         let Self { middle, even, odd } = self;
@@ -163,12 +163,12 @@ pub(crate) fn sums(i: &[f32; 7]) -> (f32, f32) {
     Folded::of(i).sums()
 }
 
-/// Demodulates every pixel of a row's runs whose window of one period lies within its run. `sign` is that of the phase along
-/// the columns: the formula alone always yields a phase that grows with the column. `light` is memory to use.
+/// Demodulates every pixel of a row's runs whose window of one period lies within its run. `sign` is that of the phase
+/// along the columns: the formula alone always yields a phase that grows with the column. `light` is memory to use.
 ///
-/// `each` gets the columns of each block and its c, s, mean and misfit: the phasor `c + i s = 6 B exp(i W)`, the mean light of
-/// the window, DN, and what the samples have beside offset, slope and fringe, RMS relative to B. All are 0 where they are
-/// unknown, and beyond the run.
+/// `each` gets the columns of each block and its c, s, mean and misfit: the phasor `c + i s = 6 B exp(i W)`, the mean
+/// light of the window, DN, and what the samples have beside offset, slope and fringe, RMS relative to B. All are 0
+/// where they are unknown, and beyond the run.
 #[inline(always)]
 pub(crate) fn demodulate_row(
     image: &[u8],
@@ -255,12 +255,12 @@ pub(crate) fn row_reach(v: usize, h: usize) -> usize {
 /// A block of a row of phasors of length 1, their true lengths and misfit.
 pub(crate) type Row<'a> = [&'a Lanes; 4];
 
-/// Mean phasor of up to five rows, of one and its nearest pair or two; the rows above and below take part in pairs, so that the mean stays centred.
-/// A pair takes part where both are known, each as strong as the weaker one (else an edge of colour along the
-/// fringe would draw the mean to its bright side), and neither has more misfit than the pixel's own row allows:
-/// the window of a row above may touch an edge that this one clears. Averaging along the fringe halves the
-/// noise. Pixels with a non-zero `skip` stay as they are, and so do those whose rows disagree. One block: of its own row are
-/// `[c, s]`, their `length` and `misfit`.
+/// Mean phasor of up to five rows, of one and its nearest pair or two; the rows above and below take part in pairs, so
+/// that the mean stays centred. A pair takes part where both are known, each as strong as the weaker one (else an edge
+/// of colour along the fringe would draw the mean to its bright side), and neither has more misfit than the pixel's
+/// own row allows: the window of a row above may touch an edge that this one clears. Averaging along the fringe halves
+/// the noise. Pixels with a non-zero `skip` stay as they are, and so do those whose rows disagree. One block: of its
+/// own row are `[c, s]`, their `length` and `misfit`.
 #[inline(always)]
 pub(crate) fn average_block<const PAIRS: usize>(
     [c, s, length, misfit]: Row<'_>,
@@ -325,7 +325,7 @@ pub(crate) fn phase(c: f32, s: f32) -> f32 {
 mod tests {
     use super::Gains;
     use crate::base::image::{Mono8, Plane};
-    use crate::phase::phasors::{Phasors, average_rows, demodulate, wrapped};
+    use crate::phase::for_tests::{Phasors, average_rows, demodulate, wrapped};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
     use std::f32::consts::TAU;
 
@@ -369,7 +369,9 @@ mod tests {
         }
 
         #[test]
-        fn second_and_third_harmonics_cancel(period in 8.0f32..18.0, second in -0.05f32..0.05, third in -0.05f32..0.05) {
+        fn second_and_third_harmonics_cancel(
+            period in 8.0f32..18.0, second in -0.05f32..0.05, third in -0.05f32..0.05,
+        ) {
             let light = |x: f32| 120.0 + 100.0 * (x.cos() + second * (2.0 * x).cos() + third * (3.0 * x).cos());
             let error = worst(period, period, 1.0, light);
             prop_assert!(error < 0.03, "{error}");
@@ -394,7 +396,7 @@ mod tests {
         Some([c * gain_c, s * gain_s, mean])
     }
 
-    /// The mean of a pixel's rows, one pair after the other, as [`average_rows`] says.
+    /// The mean of a pixel's rows, one pair after the other, as in [`average_rows`].
     fn plain_average(rows: &[[f32; 3]; 5]) -> [f32; 2] {
         let size = |row: &[f32; 3]| row[0].hypot(row[1]);
         let own = rows[2];

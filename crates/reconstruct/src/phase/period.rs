@@ -2,62 +2,69 @@
 //! The fringe period Pm of the default method: the paper's count of crossings, found once for a run.
 //!
 //! The paper's window has a median of its own for each pixel, so that crossings are sought anew in each
-//! ([`crate::paper::period`]). Here the threshold is a sliding mean: a sine less its sliding mean is a sine of
-//! the same period, so that the distance of crossings of equal direction is unbiased where the period does not change,
-//! and one list of crossings serves all windows of a run. Which of them lie in a window changes a few times in a
-//! period, so that the figure is that of whole stretches of pixels. All sums are whole numbers.
+//! ([`crate::paper::period`]). Here the threshold is a sliding mean: a sine less its sliding mean is a sine of the
+//! same period, so that the distance of crossings of equal direction is unbiased where the period does not change, and
+//! one list of crossings serves all windows of a run. The crossings in a window change a few times in a period only,
+//! so that whole stretches of pixels have the same period. All sums are whole numbers.
 
 use crate::base::image::{Mono8, Plane};
 use crate::kernels::bit_rows::{WORD, bits_of};
 use crate::kernels::pixel_runs::{Run, Runs, Surroundings, fill_around};
+use crate::kernels::sliding::extremes;
 use crate::kernels::{fast_round, simd};
 
-/// Periods outside this range are not measured, px.
+/// Fringe periods that are measured, px: shorter and longer ones count as unknown.
 pub(crate) const PERIOD_RANGE_PX: std::ops::RangeInclusive<f32> = 5.0..=24.0;
 
 /// A crossing counts once the light has left the threshold by this share of the window's range.
 pub(crate) const HYSTERESIS: f32 = 0.12;
 
-/// Half sides of the box over which the period is smoothed, px.
+/// Columns to each side over which the period is smoothed.
 pub(crate) const SMOOTH_COLUMNS: usize = 6;
+
+/// Rows to each side over which the period is smoothed.
 pub(crate) const SMOOTH_ROWS: usize = 1;
+
+/// Crossings are counted over this many nominal periods to each side: the least that holds two whole periods.
+pub(crate) const WINDOW_PERIODS: f32 = 1.3;
 
 /// The threshold is the mean over this many nominal periods to each side. Shorter means find more crossings where the
 /// light falls off towards an outline, and more wrong ones.
 const LIGHT_PERIODS: f32 = 1.3;
 
-/// Steps of a pixel in which distances are summed.
+/// Steps per px in which distances of crossings are summed, as whole numbers.
 const STEPS: f32 = 4096.0;
 
-/// Bits of a sum that count how many distances it has; above are the distances.
+/// Low bits of a sum, which count its distances; the bits above hold the distances themselves.
 const COUNT_BITS: u32 = 8;
 
 /// Rows that [`measure`] uses again from frame to frame.
 #[derive(Debug, Default)]
 pub struct Buffers {
-    /// Largest and smallest value from each pixel on, and what they are made from.
+    /// Largest and smallest value of the window that begins at each pixel; each with memory to compute it.
     high: [Vec<u8>; 2],
     low: [Vec<u8>; 2],
     /// Sums of the run's pixels before each.
     sums: Vec<u32>,
-    /// 1 above the threshold; above it, and below it, by more than the margin.
+    /// Bits [`ABOVE`] and [`FAR`] of each pixel.
     sides: Vec<u8>,
     /// How far each pixel is above its threshold, times the length of the window that this is taken from.
     beyond: Vec<f32>,
-    /// Those of a run, after and before [`NONE_BEFORE`] that are none.
+    /// The crossings of a run, between [`NONE_BEFORE`] placeholders on either side.
     crossings: Vec<Crossing>,
-    /// Of each place where a window begins the first crossings in it; of each where one ends the last.
+    /// The first two crossings of the window that begins at each place; the last two of the window that ends there.
     after: Beside,
     before: Beside,
-    /// Distances and their count, of the last rows, with zeros to either side.
+    /// Distances of crossings and their count, for the last three rows, with zeros to either side.
     raw: Vec<Vec<u32>>,
-    /// Sums of these over three rows, and of two and four neighbours of those.
+    /// Sums of `raw` over three rows, and of these over two and four neighbours.
     sums_of_rows: Vec<u32>,
     pairs: Vec<u32>,
     fours: Vec<u32>,
 }
 
-/// Entries of a list of crossings that are none, before the first and behind the last, so that all have two neighbours to each side.
+/// Placeholders in a list of crossings, before the first and behind the last, so that all have two neighbours on each
+/// side.
 const NONE_BEFORE: usize = 2;
 
 /// Where the light crosses the threshold.
@@ -67,12 +74,12 @@ struct Crossing {
     at: f32,
     /// The first whole column behind it.
     behind: u32,
-    /// Column in the run where it was certain.
+    /// The column in the run at which the light had left the threshold by the margin.
     certain: u32,
 }
 
-/// Period of each pixel of the runs, px, the mean of those around it; 0 where it is unknown and in what is around the runs.
-/// Windows never leave these.
+/// Measures the period of each pixel of the runs, px, as the mean of those around it; 0 where it is unknown and around
+/// the runs. Windows never leave a run.
 pub(crate) fn measure(
     image: Mono8<'_>,
     (runs, around): (&Runs, &Surroundings),
@@ -80,7 +87,7 @@ pub(crate) fn measure(
     buffers: &mut Buffers,
     period: &mut Plane<f32>,
 ) {
-    let half = (1.3 * nominal_px).round() as usize;
+    let half = (WINDOW_PERIODS * nominal_px).round() as usize;
     let reach = (LIGHT_PERIODS * nominal_px).round() as usize;
     let (w, h) = (image.width(), image.height());
     period.reshape(w, h, 0.0);
@@ -99,7 +106,7 @@ pub(crate) fn measure(
                     raw.fill(0);
                 } else {
                     let row = &mut raw[SMOOTH_COLUMNS..SMOOTH_COLUMNS + w];
-                    // What it holds is of a row that was there before.
+                    // The ring still holds the row that was there before.
                     let before = v.checked_sub(RING).map(|v| runs.row(v)).unwrap_or_default();
                     before.iter().for_each(|run| row[run.columns()].fill(0));
                     for run in runs.row(v) {
@@ -125,8 +132,8 @@ fn measure_run(row: &[u8], half: usize, reach: usize, buffers: &mut Buffers, raw
     let length = (2 * half + 1).min(row.len());
     let windows = row.len() - length + 1;
     let light = LightWindow { reach, length: (2 * reach + 1).min(row.len()) };
-    extremes(row, light.length, &mut buffers.high, u8::max);
-    extremes(row, light.length, &mut buffers.low, u8::min);
+    extremes(row, 0, light.length, &mut buffers.high, u8::max);
+    extremes(row, 0, light.length, &mut buffers.low, u8::min);
     add_up(row, &mut buffers.sums);
     find_sides(row, light, buffers);
     find_crossings(row.len(), buffers);
@@ -142,7 +149,7 @@ fn measure_run(row: &[u8], half: usize, reach: usize, buffers: &mut Buffers, raw
     raw[from + windows..].fill(last);
 }
 
-/// For each place of a run, how many crossings lie before it, and where two neighbouring ones are, which are those next to it on one side.
+/// For each place of a run, how many crossings lie before it, and where the two crossings next to it on one side are.
 #[derive(Debug, Default)]
 struct Beside {
     count: Vec<f32>,
@@ -153,8 +160,8 @@ struct Beside {
 const BLOCK: usize = 8;
 
 impl Beside {
-    /// `from` which place on a crossing lies before it. `skip`: the number in the list of the first of the two of a place that has none
-    /// before it.
+    /// Fills the tables for `places` places. A crossing counts as before a place from the place `from` on. `skip` is
+    /// the number in the list of the first of the two crossings of a place that has none before it.
     #[inline(always)]
     fn spread(
         &mut self,
@@ -173,7 +180,7 @@ impl Beside {
         for (next, two) in crossings[NONE_BEFORE..].iter().zip(crossings[skip..].windows(2)) {
             let end = (from(next) as usize).min(places);
             while place < end {
-                // What is beyond is written next.
+                // Places beyond `end` are written again by the next crossing.
                 block(count, place, passed);
                 block(left, place, two[0].at);
                 block(right, place, two[1].at);
@@ -184,7 +191,7 @@ impl Beside {
     }
 }
 
-/// Writes a value to the places from one on, a block of them.
+/// Writes a value to a block of places that begins at `place`.
 #[inline(always)]
 fn block(row: &mut [f32], place: usize, value: f32) {
     if let Some(block) = row[place..].first_chunk_mut::<BLOCK>() {
@@ -192,8 +199,8 @@ fn block(row: &mut [f32], place: usize, value: f32) {
     }
 }
 
-/// Mean distance of each crossing of a window to the next but one, which has its direction, in the form of [`measure_run`]. All
-/// distances but those of the ends cancel.
+/// Mean distance of each crossing of a window to the next but one, which has its direction, in the form of
+/// [`measure_run`]. All distances but those of the ends cancel.
 #[inline(always)]
 fn mean_distances(after: &Beside, before: &Beside, length: usize, raw: &mut [u32]) {
     let n = raw.len();
@@ -224,7 +231,7 @@ struct LightWindow {
     length: usize,
 }
 
-/// Sums of the row's pixels before each.
+/// Computes the sum of the row's pixels before each pixel.
 #[inline(always)]
 fn add_up(row: &[u8], sums: &mut Vec<u32>) {
     sums.resize(row.len() + 1, 0);
@@ -236,33 +243,14 @@ fn add_up(row: &[u8], sums: &mut Vec<u32>) {
     }
 }
 
-/// `out[0][i]` = extreme of `row[i .. i + length]`, by doubling.
-#[inline(always)]
-fn extremes(row: &[u8], length: usize, out: &mut [Vec<u8>; 2], extreme: impl Fn(u8, u8) -> u8 + Copy) {
-    let [from, to] = out;
-    from.clear();
-    from.extend_from_slice(row);
-    to.resize(row.len(), 0);
-    let mut covered = 1;
-    while covered < length {
-        let step = covered.min(length - covered);
-        let n = row.len() + 1 - covered - step;
-        for ((to, &a), &b) in to[..n].iter_mut().zip(&from[..n]).zip(&from[step..step + n]) {
-            *to = extreme(a, b);
-        }
-        std::mem::swap(from, to);
-        covered += step;
-    }
-}
-
-/// Above the threshold.
+/// Bit of a pixel whose light is above the threshold.
 const ABOVE: u8 = 1;
 
-/// On either side of it by more than the margin.
+/// Bit of a pixel whose light differs from the threshold by more than the margin.
 const FAR: u8 = 2;
 
-/// On which side of its threshold a pixel of `light` is, of whose window `length` pixels have this sum and range. All is
-/// times that length.
+/// On which side of its threshold a pixel of `light` is, of whose window `length` pixels have this sum and range. All
+/// is times that length.
 #[inline(always)]
 fn side(light: u8, length: i32, sum: u32, range: u8) -> (u8, f32) {
     let value = (i32::from(light) * length - sum as i32) as f32;
@@ -270,7 +258,7 @@ fn side(light: u8, length: i32, sum: u32, range: u8) -> (u8, f32) {
     ((if value > 0.0 { ABOVE } else { 0 }) | if value.abs() > margin { FAR } else { 0 }, value)
 }
 
-/// The sides of a run's pixels.
+/// Finds on which side of its threshold each pixel of a run is.
 #[inline(always)]
 fn find_sides(row: &[u8], LightWindow { reach, length }: LightWindow, buffers: &mut Buffers) {
     let Buffers { high, low, sums, sides, beyond, .. } = buffers;
@@ -317,7 +305,7 @@ fn find_crossings(pixels: usize, buffers: &mut Buffers) {
         let changes = above ^ (above << 1 | before);
         before = above >> (WORD - 1);
         let last = |changes: u64| k * WORD + changes.ilog2() as usize;
-        // From here on where it is certain, below and above.
+        // Pixels of this word at which the light is far below and far above the threshold.
         let mut far = [far & !above, far & above];
         let first = (far[0] | far[1]).trailing_zeros();
         let mut side = settled.unwrap_or_else(|| usize::from(far[1].trailing_zeros() == first));
@@ -337,7 +325,7 @@ fn find_crossings(pixels: usize, buffers: &mut Buffers) {
         settled = if first < u64::BITS { Some(side) } else { settled };
         changed = if changes == 0 { changed } else { last(changes) };
     }
-    // What no window reaches.
+    // Placeholders that no window reaches.
     crossings.extend([Crossing { at: 0.0, behind: u32::MAX, certain: u32::MAX - 1 }; NONE_BEFORE]);
 }
 
@@ -439,7 +427,9 @@ pub(crate) mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn the_period_of_a_noisy_sine_is_found(period in 6.0f32..18.0, phase in -3.0f32..3.0, amplitude in 15.0f32..100.0) {
+        fn the_period_of_a_noisy_sine_is_found(
+            period in 6.0f32..18.0, phase in -3.0f32..3.0, amplitude in 15.0f32..100.0,
+        ) {
             let mut image = Plane::filled(200, 3, 0u8);
             for v in 0..3 {
                 for u in 0..200 {
@@ -478,7 +468,8 @@ pub(crate) mod tests {
                 let near = raw[u.saturating_sub(6)..(u + 7).min(120)].iter().filter(|x| **x > 0.0);
                 let (sum, count) = near.fold((0.0, 0), |(sum, count), x| (sum + x, count + 1));
                 let expected = if count > 0 { sum / f64::from(count) } else { 0.0 };
-                prop_assert!((f64::from(found.at(u, 0)) - expected).abs() < 1e-3, "{} {expected} at {u}", found.at(u, 0));
+                let found = f64::from(found.at(u, 0));
+                prop_assert!((found - expected).abs() < 1e-3, "{found} {expected} at {u}");
             }
             prop_assert!(found.at(gap, 0) == 0.0);
         }

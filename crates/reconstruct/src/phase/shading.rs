@@ -13,16 +13,18 @@
 //! which is up to `0.24 q` rad: on a fore-arm tenths of a millimetre. `q` is known from the light of the windows
 //! half a period before and after, whose ripple with the phase is in step and cancels; so the bias is taken off.
 //!
-//! A step of colour is no gradient. Where only one of the two neighbouring windows crosses a step, the pixel's
-//! own does not: the limiter of [`slope`] then finds nothing to correct. Where its own does, the first order is
-//! not enough, the misfit of the fringe model tells, and [`crate::refine::albedo_edges`] deals with it.
+//! A step of colour is no gradient. Where only one of the two neighbouring windows crosses a step, the pixel's own
+//! does not: the limiter of [`slope`] then finds nothing to correct. Where its own does, the first order is not
+//! enough: the misfit of the fringe model is large, and [`crate::refine::albedo_edges`] corrects or drops the pixel.
 
 use crate::kernels::pixel_runs::Run;
 use crate::kernels::subpixel::{self, LANES, Lanes, PAD, Periods};
 use std::ops::Range;
 
-/// `2 / sqrt(3)` and `sqrt(3) / 36`: what a gradient adds to S through the mean light, and turns (C, S) by.
+/// `2 / sqrt(3)`: what a gradient of the light adds to S, per mean light.
 const FROM_MEAN: f32 = 1.154_700_5;
+
+/// `sqrt(3) / 36`: by how much a gradient turns (C, S), rad.
 const TURN: f32 = 0.048_112_52;
 
 /// The mean of seven samples ripples with the phase by this share of `q b sin phi`, oppositely in windows half a
@@ -61,8 +63,8 @@ pub(crate) fn skip_light(light: &mut [f32], columns: Range<usize>) {
     light[PAD + columns.start..PAD + columns.end].fill(f32::NAN);
 }
 
-/// Takes the first-order bias off the phasors of a row's runs but those whose `light` is not known. `sign` is that of the
-/// phase along the columns. All rows have room for a block behind their ends.
+/// Takes the first-order bias off the phasors of a row's runs but those whose `light` is not known. `sign` is that of
+/// the phase along the columns. All rows have room for a block behind their ends.
 #[inline(always)]
 pub(crate) fn correct_row(
     [c, s]: [&[f32]; 2],
@@ -146,7 +148,7 @@ mod tests {
     use super::slope;
     use crate::base::image::{Mono8, Plane};
     use crate::phase::demodulate::Gains;
-    use crate::phase::phasors::{Phasors, correct_shading, demodulate, wrapped};
+    use crate::phase::for_tests::{Phasors, correct_shading, demodulate, wrapped};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
     use std::f32::consts::TAU;
 
@@ -180,7 +182,12 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn a_gradient_of_light_costs_little(period in 7.0f32..16.0, change in 0.18f32..0.35, up in proptest::bool::ANY, rising in proptest::bool::ANY) {
+        fn a_gradient_of_light_costs_little(
+            period in 7.0f32..16.0,
+            change in 0.18f32..0.35,
+            up in proptest::bool::ANY,
+            rising in proptest::bool::ANY,
+        ) {
             let (sign, change) = (if up { 1.0 } else { -1.0 }, if rising { change } else { -change });
             let light = |u: f32| 110.0 * (change * (u - 60.0) / period).exp().clamp(0.3, 2.0);
             let [before, after] = worst(period, sign, 50..70, light);
@@ -237,7 +244,7 @@ mod tests {
                 mean.set(u, 0, if x.abs() < dark { 0.0 } else { mean.at(u, 0) });
                 skip.set(u, 0, u8::from(x > 1.0 - dark));
             }
-            // Half a period that ends on a column is between two pairs of columns: rounding says which.
+            // Half a period that ends on a column is between two pairs of columns: rounding decides.
             let between = |p: f32| if (0.5 * p - (0.5 * p).round()).abs() < 1e-3 { p + 0.01 } else { p };
             let period = (0..WIDTH).map(|u| between((start + step * u as f32).max(5.0))).collect();
             let period = Plane::from_vec(WIDTH, 1, period).expect("a row");

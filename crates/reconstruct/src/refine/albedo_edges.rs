@@ -3,7 +3,7 @@
 //!
 //! A demodulation window that crosses an edge of colour (a disc of the calibration board, a mole, a hair line)
 //! holds two fringes of different height: its phase is off by up to half a radian, while the surface below is
-//! smooth. The misfit of the fringe model tells such windows: over boards and bodies the RMS error grows in
+//! smooth. The misfit of the fringe model marks such windows: over boards and bodies the RMS error grows in
 //! proportion to it ([`own_error`]). For each pixel of doubtful misfit a plane is laid through the absolute
 //! phases of good pixels around it. Where these lie in a plane, so that its value at the pixel is more certain
 //! than the pixel's own phase, it is taken instead; on the strongly curved skin beside an outline, where the
@@ -15,36 +15,22 @@ use crate::kernels::fast_round::whole;
 use crate::kernels::pixel_runs::each_not_0;
 use crate::kernels::row_support::Support;
 use crate::kernels::{simd, subpixel};
-use crate::phase::window_quality;
+use crate::phase::window_quality::{self, DOUBTFUL_MISFIT, GOOD_MISFIT, LEAST_AMPLITUDE_DN};
 use std::f32::consts::TAU;
-use std::ops::Range;
 
-/// Settings of this stage.
-#[derive(Debug, Clone, Copy)]
-pub struct Settings {
-    /// Pixels from this misfit on are doubtful.
-    pub doubtful_misfit: f32,
-    /// Pixels up to this misfit are good: planes are laid through them.
-    pub good_misfit: f32,
-    /// Largest error to expect of a phase that stays, rad.
-    pub max_error: f32,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Self { doubtful_misfit: 0.08, good_misfit: 0.05, max_error: 0.25 }
-    }
-}
+/// A phase of which a larger error is expected is dropped, rad.
+const MAX_ERROR: f32 = 0.25;
 
 /// RMS error of a phase relative to the misfit of its window, rad, as measured.
 const ERROR_PER_MISFIT: f32 = 0.8;
 
-/// Noise of a sample, DN: its share of the misfit says nothing of edges.
+/// Noise of a sample, DN: the misfit that it causes is no sign of an edge.
 const NOISE_DN: f32 = 0.6;
 
-/// Columns and rows to each side that a plane is laid through, and the step between columns: neighbours in a
-/// row share most of their windows.
+/// Columns and rows to each side that a plane is laid through.
 const REACH: (usize, usize) = (12, 5);
+
+/// Of these every such column is taken: neighbours in a row share most of their windows.
 const COLUMN_STEP: usize = 3;
 
 /// Fewer good pixels than this make no plane.
@@ -52,6 +38,13 @@ const MIN_SUPPORT: usize = 20;
 
 /// Variance of the plane at the pixel relative to that of one phase: beyond this it is an extrapolation.
 const MAX_LEVERAGE: f32 = 0.3;
+
+/// Added to the leverage: no plane is surer than one through 200 phases.
+const LEAST_LEVERAGE: f32 = 0.005;
+
+/// Good phases must not lie on one line: the determinant of their moments is at least this share of the product of the
+/// variances.
+const MIN_SPREAD: f32 = 1e-3;
 
 /// Phases around a pixel are not independent: they share windows and rows. The error of the plane at the pixel
 /// is this times what it would be if they were.
@@ -70,21 +63,16 @@ const SAME_SURFACE: f32 = 1.5;
 pub fn refine(
     absolute: &mut Plane<f32>,
     FrameMaps { runs, windows, period, zone: outside, sign }: FrameMaps<'_>,
-    settings: &Settings,
     mut expected: Option<&mut Plane<f32>>,
 ) -> usize {
-    let (mut support, mut known, mut doubtful) = (Support::default(), Known::default(), Vec::new());
+    let (mut support, mut doubtful) = (Support::default(), Vec::new());
     simd::dispatch(
         #[inline(always)]
         || {
             support.begin(absolute, REACH.1, PAD);
-            known.begin(absolute.width());
             let mut dropped = 0;
             for v in 0..absolute.height() {
                 let (misfit, zone) = (windows.misfit.row(v), outside.row(v));
-                if let Some(leaves) = v.checked_sub(ROWS - REACH.1) {
-                    known.take_off(support.row(v - 1, 0), runs.span(leaves));
-                }
                 support.advance(
                     v,
                     absolute,
@@ -96,20 +84,16 @@ pub fn refine(
                             (&windows.misfit.row(v)[columns.clone()], &outside.row(v)[columns]);
                         for (((to, &phase), &misfit), &zone) in to.iter_mut().zip(phase).zip(misfit).zip(zone)
                         {
-                            let good = (misfit <= settings.good_misfit) & (zone == 0);
+                            let good = (misfit <= GOOD_MISFIT) & (zone == 0);
                             *to = if good { phase } else { f32::NAN };
                         }
                     },
                 );
-                let enter = if v == 0 { 0 } else { v + REACH.1 }..=v + REACH.1;
-                for row in enter.filter(|&row| row < absolute.height()) {
-                    known.add(support.row(v, row + REACH.1 - v), runs.span(row));
-                }
                 doubtful.clear();
                 for run in runs.row(v) {
                     let part = run.columns();
                     let stretch = (&absolute.row(v)[part.clone()], &misfit[part.clone()], &zone[part]);
-                    list_doubtful(stretch, settings.doubtful_misfit, run.start(), &mut doubtful);
+                    list_doubtful(stretch, run.start(), &mut doubtful);
                 }
                 let mut good: [&[f32]; ROWS] = [&[]; ROWS];
                 for (row, good) in good.iter_mut().enumerate() {
@@ -120,8 +104,8 @@ pub fn refine(
                     let count = left.iter().take_while(|&&u| u < first + LANES).count();
                     let block;
                     (block, left) = left.split_at(count);
-                    let laid = if known.support(first, block) {
-                        let around = around(&good, first);
+                    let around = around(&good, first);
+                    let laid = if is_supported(&around) {
                         let phase = subpixel::part(absolute.row(v), first, f32::NAN);
                         let mut carrier: Lanes = subpixel::part(period.row(v), first, f32::NAN);
                         for carrier in &mut carrier {
@@ -142,7 +126,7 @@ pub fn refine(
                         if let Some(expected) = expected.as_deref_mut() {
                             expected.set(u, v, error);
                         }
-                        if error > settings.max_error {
+                        if error > MAX_ERROR {
                             absolute.set(u, v, f32::NAN);
                             dropped += 1;
                         }
@@ -156,45 +140,43 @@ pub fn refine(
 
 /// Adds the columns of a run, which begins at `start`, whose phase is known and doubtful.
 #[inline(always)]
-fn list_doubtful(
-    (phase, misfit, zone): (&[f32], &[f32], &[u8]),
-    from: f32,
-    start: usize,
-    list: &mut Vec<usize>,
-) {
-    const LANES: usize = 64;
-    let parts = phase.chunks(LANES).zip(misfit.chunks(LANES)).zip(zone.chunks(LANES));
-    let mut doubtful = [0u8; LANES];
+fn list_doubtful((phase, misfit, zone): (&[f32], &[f32], &[u8]), start: usize, list: &mut Vec<usize>) {
+    /// Pixels that are searched at once.
+    const SEARCHED: usize = 64;
+    let parts = phase.chunks(SEARCHED).zip(misfit.chunks(SEARCHED)).zip(zone.chunks(SEARCHED));
+    let mut doubtful = [0u8; SEARCHED];
     for (part, ((phase, misfit), zone)) in parts.enumerate() {
         let count = phase.len();
         let bytes = doubtful[..count].iter_mut().zip(phase).zip(misfit).zip(zone);
         for (((doubtful, phase), &misfit), &zone) in bytes {
-            *doubtful = u8::from(!phase.is_nan() & (misfit >= from) & (zone == 0));
+            *doubtful = u8::from(!phase.is_nan() & (misfit >= DOUBTFUL_MISFIT) & (zone == 0));
         }
-        each_not_0(&doubtful[..count], |i| list.push(start + part * LANES + i));
+        each_not_0(&doubtful[..count], |i| list.push(start + part * SEARCHED + i));
     }
 }
 
 /// The RMS error to expect of a phase from its window's misfit and the fringe's amplitude, rad.
 #[inline(always)]
 pub fn own_error(misfit: f32, amplitude: f32) -> f32 {
-    let noise = NOISE_DN / amplitude.max(0.5);
+    let noise = NOISE_DN / amplitude.max(LEAST_AMPLITUDE_DN);
     ERROR_PER_MISFIT * (misfit * misfit - noise * noise).max(0.0).sqrt()
 }
 
-/// Pixels beside each other whose planes are laid at once: doubtful ones come in stretches, and their samples lie side by
-/// side in memory.
+/// Pixels beside each other whose planes are laid at once: doubtful ones come in stretches, and their samples lie side
+/// by side in memory.
 const LANES: usize = 8;
 type Lanes = [f32; LANES];
 
-/// Columns and rows that a plane is laid through.
+/// Columns that a plane is laid through.
 const COLUMNS: usize = 2 * REACH.0 / COLUMN_STEP + 1;
+
+/// Rows that a plane is laid through.
 const ROWS: usize = 2 * REACH.1 + 1;
 
 /// Room beside the rows of support: the reach, and lanes beyond the row's end.
 const PAD: usize = REACH.0 + LANES;
 
-/// What planes through good phases say of the pixels in their middles.
+/// Phase and expected error of the pixels in the middle of planes through good phases, rad.
 struct Laid {
     phase: Lanes,
     /// Infinite where there is no plane.
@@ -203,9 +185,11 @@ struct Laid {
 
 /// Good phases around a block: those within reach of its pixels, row by row.
 type Around<'a> = [&'a [f32; SPAN]; ROWS];
+
+/// Columns within reach of a block's pixels.
 const SPAN: usize = 2 * REACH.0 + LANES;
 
-/// What lies around the block that begins at column u. (None in a row that is too short, which there is not.)
+/// The good phases around the block that begins at column u. All rows are long enough for it.
 #[inline(always)]
 fn around<'a>(good: &[&'a [f32]; ROWS], u: usize) -> Around<'a> {
     let mut around = [&[f32::NAN; SPAN]; ROWS];
@@ -215,48 +199,18 @@ fn around<'a>(good: &[&'a [f32]; ROWS], u: usize) -> Around<'a> {
     around
 }
 
-/// How many of the rows around the one that is worked on have a good phase, column by column with [`PAD`] to either side.
-#[derive(Debug, Default)]
-struct Known(Vec<u8>);
-
-impl Known {
-    /// Begins a frame of this width.
-    fn begin(&mut self, width: usize) {
-        self.0.clear();
-        self.0.resize(width + 2 * PAD, 0);
-    }
-
-    /// Counts a row of support, which is known within `columns`.
-    #[inline(always)]
-    fn add(&mut self, row: &[f32], columns: Range<usize>) {
-        let columns = columns.start + PAD..columns.end + PAD;
-        for (count, phase) in self.0[columns.clone()].iter_mut().zip(&row[columns]) {
-            *count += u8::from(!phase.is_nan());
-        }
-    }
-
-    /// Counts it no longer.
-    #[inline(always)]
-    fn take_off(&mut self, row: &[f32], columns: Range<usize>) {
-        let columns = columns.start + PAD..columns.end + PAD;
-        for (count, phase) in self.0[columns.clone()].iter_mut().zip(&row[columns]) {
-            *count -= u8::from(!phase.is_nan());
-        }
-    }
-
-    /// Whether one of the pixels of a block, which begins at column u, has enough good ones around it for a plane.
-    #[inline(always)]
-    fn support(&self, u: usize, block: &[usize]) -> bool {
-        const { assert!(ROWS * COLUMNS <= u8::MAX as usize) };
-        let around: &[u8; SPAN] = subpixel::chunk(&self.0, u + PAD - REACH.0);
-        let mut known = [0u8; LANES];
+/// Whether enough phases around any pixel of a block are good for a plane. Most blocks beside outlines have too few.
+#[inline(always)]
+fn is_supported(around: &Around<'_>) -> bool {
+    let mut known = [0u32; LANES];
+    for good in around {
         for column in 0..COLUMNS {
             for i in 0..LANES {
-                known[i] += around[column * COLUMN_STEP + i];
+                known[i] += u32::from(!good[column * COLUMN_STEP + i].is_nan());
             }
         }
-        block.iter().any(|at| usize::from(known[(at - u) % LANES]) >= MIN_SUPPORT)
     }
+    known.iter().any(|known| *known >= MIN_SUPPORT as u32)
 }
 
 /// Sums of 1, x, y and of their products; of the residual phase z, and of its products with them.
@@ -287,8 +241,10 @@ const COUNTS: [f32; ROWS] = {
     counts
 };
 
-/// Where the sums of rows and of squares begin: there are up to 11 pixels, and their rows come to 55.
+/// The bit at which the sum of rows begins in [`COUNTS`]: there are up to 11 pixels.
 const ROW_BITS: u32 = 4;
+
+/// The bit at which the sum of squares begins in [`COUNTS`]: rows come to 55.
 const SQUARE_BITS: u32 = 10;
 
 impl Sums {
@@ -303,13 +259,13 @@ impl Sums {
             for i in 0..LANES {
                 along[i] = carrier[i] * x;
             }
-            // Of the column alone, in which x is the same.
+            // Sums of this column alone, in which x is the same.
             let [mut counts, mut z1, mut yz] = [[0f32; LANES]; 3];
             for ((row, good), count) in around.iter().enumerate().zip(COUNTS) {
                 let y = row as f32 - REACH.1 as f32;
                 for i in 0..LANES {
                     let z = good[place + i] - phase[i] - along[i];
-                    // Not so for NaN.
+                    // False for NaN.
                     let same = if z.abs() < SAME_SURFACE { u32::MAX } else { 0 };
                     let z = f32::from_bits(z.to_bits() & same);
                     counts[i] += f32::from_bits(count.to_bits() & same);
@@ -357,9 +313,11 @@ fn lay_planes(around: &Around<'_>, phase: &Lanes, carrier: &Lanes) -> Laid {
         let rest = zz - a * xz - b * yz;
         let residual = (if rest > 0.0 { rest } else { 0.0 } * per_n).sqrt();
         let residual = if residual > MIN_RESIDUAL { residual } else { MIN_RESIDUAL };
-        let error = DEPENDENCE * (leverage + 0.005).sqrt() * residual;
-        let good =
-            (n >= MIN_SUPPORT as f32) & (det >= 1e-3 * xx * yy) & (det > 0.0) & (leverage <= MAX_LEVERAGE);
+        let error = DEPENDENCE * (leverage + LEAST_LEVERAGE).sqrt() * residual;
+        let good = (n >= MIN_SUPPORT as f32)
+            & (det >= MIN_SPREAD * xx * yy)
+            & (det > 0.0)
+            & (leverage <= MAX_LEVERAGE);
         laid.phase[i] = own + z0 - a * x0 - b * y0;
         laid.error[i] = if good { error } else { f32::INFINITY };
     }
@@ -368,12 +326,12 @@ fn lay_planes(around: &Around<'_>, phase: &Lanes, carrier: &Lanes) -> Laid {
 
 #[cfg(test)]
 mod tests {
-    use super::{FrameMaps, Settings, refine};
+    use super::{FrameMaps, refine};
     use crate::base::image::{Mono8, Plane};
     use crate::kernels::pixel_runs::Runs;
     use crate::phase::demodulate::Gains;
+    use crate::phase::for_tests::{self, Phasors, demodulate, wrapped};
     use crate::phase::period::tests::measured;
-    use crate::phase::phasors::{self, Phasors, demodulate, wrapped};
     use crate::refine::curvature;
     use std::f32::consts::TAU;
 
@@ -445,13 +403,13 @@ mod tests {
         let runs = Runs::of(&object);
         let mut phasors = demodulate(image, &object, &period, &Gains::new(), 1.0);
         let before = score(&absolute(&phasors));
-        phasors::correct_shading(&mut phasors, &period, &none, 1.0);
-        phasors::average_rows(&mut phasors, &none);
+        for_tests::correct_shading(&mut phasors, &period, &none, 1.0);
+        for_tests::average_rows(&mut phasors, &none);
         let mut phase = absolute(&phasors);
-        let windows = phasors::windows(phasors, &runs);
+        let windows = for_tests::windows(phasors, &runs);
         let maps = FrameMaps { runs: &runs, windows: &windows, period: &period, zone: &none, sign: 1.0 };
         curvature::correct(&mut phase, maps, (5.0, 12.0));
-        refine(&mut phase, maps, &Settings::default(), None);
+        refine(&mut phase, maps, None);
         [before, score(&phase)]
     }
 
@@ -488,9 +446,9 @@ mod tests {
         phasors.misfit.row_mut(60)[100..110].fill(0.01);
         let mut phase = wrapped(&phasors);
         let known = phase.as_slice().iter().filter(|x| !x.is_nan()).count();
-        let windows = phasors::windows(phasors, &runs);
+        let windows = for_tests::windows(phasors, &runs);
         let maps = FrameMaps { runs: &runs, windows: &windows, period: &period, zone: &none, sign: 1.0 };
-        let dropped = refine(&mut phase, maps, &Settings::default(), None);
+        let dropped = refine(&mut phase, maps, None);
         assert_eq!(dropped, known - 10);
         assert!(phase.row(60)[100..110].iter().all(|x| !x.is_nan()));
     }

@@ -14,10 +14,12 @@ use crate::kernels::pixel_runs::Run;
 use crate::kernels::row_support::Support;
 use crate::kernels::subpixel::{self, LANES, Lanes};
 use crate::kernels::{fast_atan2, simd};
-use crate::phase::window_quality;
+use crate::phase::window_quality::{self, LEAST_AMPLITUDE_DN};
 
-/// Mean and ripple of the formula's bias, per second difference over half a period to each side.
+/// Mean of the formula's bias, per second difference over half a period to each side.
 const MEAN: f32 = 0.176;
+
+/// Ripple of that bias with `cos 2 phi`.
 const RIPPLE: f32 = 0.037;
 
 /// Bends per half period beyond this are steps between surfaces, rad.
@@ -30,11 +32,13 @@ const MAX_MISFIT: f32 = 0.15;
 /// planes would be rougher by a tenth.
 const NOISE_RAD_DN: f32 = 1.0;
 
-/// Rows to each side over which the second difference along the column is taken, and its largest value, rad.
+/// Rows to each side over which the second difference along the column is taken.
 const REACH_ROWS: usize = 6;
+
+/// Second differences along the column beyond this are steps between surfaces, rad.
 const MAX_BEND_ROWS: f32 = 1.0;
 
-/// Columns beyond the ends of a row that may be asked for; no period is longer.
+/// Columns beyond the ends of a row that can be read; no period is longer.
 const PAD: usize = 64;
 
 /// Takes the bias off `absolute`, which is known within `runs` only (NaN: unknown). Phases are means of `rows` rows, of
@@ -92,7 +96,7 @@ fn correct_run(
         let (strength, period) = (subpixel::load(strength, first), subpixel::load(period, first));
         let (above, below) = (subpixel::load(above, first + PAD), subpixel::load(below, first + PAD));
         let marked = subpixel::load(zone, first);
-        // The slope along the row has no part in a difference to both sides: whole columns do.
+        // A second difference does not contain the slope, so that distances in whole columns suffice.
         let k = all_columns(&period, count);
         let Beside { before, behind, share } = beside(row, first + PAD, &k, 1);
         let (mut wide, mut bias) = ([0f32; LANES], [0f32; LANES]);
@@ -130,7 +134,7 @@ fn correct_run(
 #[inline(always)]
 fn noise_and_bias(strength: u16, phase: f32) -> (f32, f32) {
     let amplitude = window_quality::amplitude(strength);
-    let noise = NOISE_RAD_DN / if amplitude < 0.5 { 0.5 } else { amplitude };
+    let noise = NOISE_RAD_DN / if amplitude < LEAST_AMPLITUDE_DN { LEAST_AMPLITUDE_DN } else { amplitude };
     (noise, MEAN - RIPPLE * fast_atan2::cos_of_double(phase))
 }
 
@@ -172,7 +176,8 @@ fn beside(row: &[f32], first: usize, k: &[u32; LANES], times: usize) -> Beside {
     Beside { before, behind, share }
 }
 
-/// The first `count` periods of a block in whole columns. What is behind them is nobody's, and as the first one.
+/// The first `count` periods of a block in whole columns. Lanes behind them belong to no pixel; they repeat the first
+/// one.
 #[inline(always)]
 fn all_columns(period: &Lanes, count: usize) -> [u32; LANES] {
     let (first, count) = (period[0], count as i32);
@@ -186,7 +191,7 @@ fn all_columns(period: &Lanes, count: usize) -> [u32; LANES] {
 /// A period in whole columns.
 #[inline(always)]
 fn columns(period: f32) -> i32 {
-    // Not 0 for NaN or nothing, either.
+    // At least 1, also for NaN and for an unknown period.
     let period = if period > 1.0 { period } else { 1.0 };
     let period = if period < PAD as f32 { period } else { PAD as f32 };
     whole(period)
@@ -217,7 +222,7 @@ fn bends_beside(row: &[f32], first: usize, phase: &Lanes, period: &Lanes, count:
     bends
 }
 
-/// `x` nearer to 0 by `noise`.
+/// `x` moved towards 0 by `noise`, but not beyond.
 #[inline(always)]
 fn shrunk(x: f32, noise: f32) -> f32 {
     (x.abs() - noise).max(0.0).copysign(x)
@@ -229,7 +234,7 @@ mod tests {
     use crate::base::image::{Mono8, Plane};
     use crate::kernels::pixel_runs::Runs;
     use crate::phase::demodulate::{Gains, ROWS};
-    use crate::phase::phasors::{average_rows, demodulate, windows, wrapped};
+    use crate::phase::for_tests::{average_rows, demodulate, windows, wrapped};
     use std::f32::consts::TAU;
 
     const W: usize = 160;

@@ -1,16 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Absolute phase Fm, made better pixel by pixel: what is kept, and corrections for curvature and edges of colour.
 
-/// Phase at edges of colour.
-pub mod albedo_edges;
-/// Phase on curved surfaces.
-pub mod curvature;
-/// Runs of pixels completed at their ends.
+pub(crate) mod albedo_edges;
+pub(crate) mod curvature;
 pub(crate) mod extend_runs;
-/// Which pixels give a point.
-pub mod select;
-/// Standard uncertainty of a point.
-pub mod uncertainty;
+pub(crate) mod select;
+pub(crate) mod uncertainty;
 
 use super::kernels::pixel_runs::Runs;
 use super::phase::window_quality::Windows;
@@ -23,7 +18,7 @@ pub struct FrameMaps<'a> {
     pub runs: &'a Runs,
     /// Strength, light and misfit of the fringe in each pixel's window.
     pub windows: &'a Windows,
-    /// Fringe period Pm, px.
+    /// Fringe period Pm of each pixel, px.
     pub period: &'a Plane<f32>,
     /// Not 0 around the marker, where phases are means of more rows.
     pub zone: &'a Plane<u8>,

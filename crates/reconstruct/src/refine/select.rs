@@ -8,32 +8,22 @@ use super::FrameMaps;
 use crate::base::image::Plane;
 use crate::kernels::pixel_runs::{Run, each_not_0};
 use crate::kernels::{prefetch, simd};
-use crate::phase::window_quality::STEPS_PER_DN;
+use crate::phase::window_quality::{DOUBTFUL_MISFIT, STEPS_PER_DN};
 use std::f32::consts::TAU;
 
-/// Settings of the selection.
-#[derive(Debug, Clone, Copy)]
-pub struct Settings {
-    /// Neighbours whose absolute phases differ by more than the carrier and this are on a step, rad.
-    pub step_rad: f32,
-    /// Least fringe amplitude, DN.
-    pub min_amplitude: f32,
-    /// Largest misfit of the fringe model (see [`Windows::misfit`]).
-    pub max_misfit: f32,
-    /// Pixels of less misfit stay beside a step, too: their window has not seen it.
-    pub clear_misfit: f32,
-}
+/// Neighbours whose phases differ from the carrier by more are on two surfaces, rad.
+const STEP_RAD: f32 = 1.2;
 
-impl Default for Settings {
-    fn default() -> Self {
-        Self { step_rad: 1.2, min_amplitude: 1.5, max_misfit: 0.6, clear_misfit: 0.08 }
-    }
-}
+/// Fainter fringes give no point, DN of amplitude B.
+const MIN_AMPLITUDE_DN: f32 = 1.5;
+
+/// Windows of a larger misfit do not look like a fringe, relative to B.
+const MAX_MISFIT: f32 = 0.6;
 
 /// Rows of marks around the row that is worked on.
 #[derive(Debug, Default)]
 struct Buffers {
-    /// 1 near a step, of three rows.
+    /// 1 near a step, for three rows.
     near: [Vec<u8>; 3],
     /// 1 where the step to the row below is one between surfaces.
     down: Vec<u8>,
@@ -47,7 +37,6 @@ struct Buffers {
 pub fn select(
     absolute: &mut Plane<f32>,
     FrameMaps { runs, period, windows, sign, .. }: FrameMaps<'_>,
-    settings: &Settings,
 ) -> usize {
     let (w, h) = (absolute.width(), absolute.height());
     let mut buffers = Buffers::default();
@@ -70,7 +59,7 @@ pub fn select(
                     let below = (next + 1 < h).then(|| absolute.row(next + 1));
                     for run in runs.row(next) {
                         let rows = (absolute.row(next), below, period.row(next));
-                        buffers.mark(run, rows, sign, settings);
+                        buffers.mark(run, rows, sign);
                     }
                 }
                 let Some(v) = next.checked_sub(1) else { continue };
@@ -80,7 +69,7 @@ pub fn select(
                     let misfit = &windows.misfit.row(v)[columns.clone()];
                     let near = &buffers.near[v % 3][columns.clone()];
                     let phase = &mut absolute.row_mut(v)[columns];
-                    dropped += drop_from(phase, (strength, misfit, near), settings);
+                    dropped += drop_from(phase, (strength, misfit, near));
                 }
             }
         },
@@ -92,24 +81,17 @@ impl Buffers {
     /// Marks what lies within half a period along the row, in this row and those beside it, of the pixels of a run that
     /// have a neighbour on another surface. `rows`: the phases of the row and of that below, and the row's periods.
     #[inline(always)]
-    fn mark(
-        &mut self,
-        run: &Run,
-        (row, below, period): (&[f32], Option<&[f32]>, &[f32]),
-        sign: f32,
-        settings: &Settings,
-    ) {
-        let Settings { step_rad, .. } = *settings;
+    fn mark(&mut self, run: &Run, (row, below, period): (&[f32], Option<&[f32]>, &[f32]), sign: f32) {
         let (start, n) = (run.start(), run.columns().len());
         let (row, p) = (&row[run.columns()][..n], &period[run.columns()][..n]);
         let (right, beside) = (&mut self.right[..n], &mut self.beside[..n]);
         for i in 0..n - 1 {
-            // The carrier is a turn in two periods' mean; times these, because a quotient is slow.
+            // The carrier's step is a turn per mean period. Both sides are multiplied by the periods: division is slow.
             let both = p[i] + p[i + 1];
-            right[i] = u8::from(((row[i + 1] - row[i]) * both - sign * 2.0 * TAU).abs() > step_rad * both);
+            right[i] = u8::from(((row[i + 1] - row[i]) * both - sign * 2.0 * TAU).abs() > STEP_RAD * both);
         }
         right[n - 1] = 0;
-        // From the row above; only known phases have steps, so that those of other runs are 0.
+        // Steps from the row above. Unknown phases have no step, so that pixels beside other runs are 0.
         let down = &mut self.down[run.columns()][..n];
         beside.copy_from_slice(down);
         match below {
@@ -117,7 +99,7 @@ impl Buffers {
             Some(below) => {
                 let below = &below[run.columns()][..n];
                 for i in 0..n {
-                    down[i] = u8::from((below[i] - row[i]).abs() > step_rad);
+                    down[i] = u8::from((below[i] - row[i]).abs() > STEP_RAD);
                 }
             }
         }
@@ -127,7 +109,7 @@ impl Buffers {
         for i in 1..n {
             beside[i] |= right[i - 1];
         }
-        // What is marked so far, of which the row's next may be a part.
+        // The stretch that is marked next; the marks of neighbouring pixels overlap and are joined.
         let (mut first, mut end) = (0, 0);
         let near = &mut self.near;
         let mut fill = |first: usize, end: usize| {
@@ -150,20 +132,16 @@ impl Buffers {
     }
 }
 
-/// Drops the pixels of a run that are not good; returns how many.
+/// Drops the pixels of a run that are faint, unlike a fringe or near a step; returns how many.
 #[inline(always)]
-fn drop_from(
-    phase: &mut [f32],
-    (strength, misfit, near): (&[u16], &[f32], &[u8]),
-    settings: &Settings,
-) -> usize {
+fn drop_from(phase: &mut [f32], (strength, misfit, near): (&[u16], &[f32], &[u8])) -> usize {
     let n = phase.len();
     let (strength, misfit, near) = (&strength[..n], &misfit[..n], &near[..n]);
-    let least = (6.0 * settings.min_amplitude * STEPS_PER_DN) as u16;
+    let least = (6.0 * MIN_AMPLITUDE_DN * STEPS_PER_DN) as u16;
     let mut dropped = 0u32;
     for i in 0..n {
-        let apart = (near[i] == 0) | (misfit[i] < settings.clear_misfit);
-        let good = (strength[i] >= least) & (misfit[i] <= settings.max_misfit) & apart;
+        let apart = (near[i] == 0) | (misfit[i] < DOUBTFUL_MISFIT);
+        let good = (strength[i] >= least) & (misfit[i] <= MAX_MISFIT) & apart;
         dropped += u32::from(!good & !phase[i].is_nan());
         phase[i] = if good { phase[i] } else { f32::NAN };
     }

@@ -9,7 +9,7 @@
 //! - **Shape.** What windows and rows do where neither light nor slope is constant is taken off to first order
 //!   (`shading`, `curvature`); what is left grows with the misfit of the window, beyond the misfit that most pixels
 //!   of equal light have from noise and from harmonics, which do no harm.
-//! - **Doubt.** At edges of colour `edges` says what error to expect.
+//! - **Doubt.** At edges of colour it is the error that `albedo_edges` expects.
 //!
 //! These are independent. Not in it: the calibration, which moves all points of a camera together, and wrong fringe
 //! orders, which are refused and have no distribution. `fourdbody validate truth --uncertainty` holds it against
@@ -20,18 +20,21 @@ use crate::base::image::Plane;
 use crate::data::encode_sigma;
 use crate::kernels::simd;
 use crate::phase::demodulate;
-use crate::phase::window_quality::{self, Windows};
+use crate::phase::window_quality::{self, GOOD_MISFIT, Windows};
 
-/// Classes of light, and their width in DN.
+/// Classes of light, from black to white.
 const CLASSES: usize = 16;
+
+/// The width of a class of light, DN.
 const CLASS_DN: f32 = 16.0;
 
 /// Pixels that a class needs for its noise to be taken from it.
 const MIN_PIXELS: u32 = 200;
 
-/// Weights of a fourth difference; rows from one of its phases to the next, whose means of [`demodulate::ROWS`] do not
-/// overlap.
+/// Weights of the five phases of a fourth difference.
 const WEIGHTS: [f32; 5] = [1.0, -4.0, 6.0, -4.0, 1.0];
+
+/// Rows from one of these phases to the next: means of [`demodulate::ROWS`] rows do not overlap then.
 const LAG: usize = demodulate::ROWS;
 
 /// The median of a squared normal number is 0.4549.
@@ -40,8 +43,8 @@ const PER_MEDIAN: f32 = 1.0 / 0.4549;
 /// Fourth differences beyond this are steps, rad.
 const MAX_DIFFERENCE: f32 = 2.0;
 
-/// Pixels of more misfit than this are at edges, unless what it is of the light, DN, may be noise.
-const MAX_MISFIT: f32 = 0.05;
+/// Pixels of more than [`GOOD_MISFIT`] are at edges, unless their misfit times the amplitude is below this: then it
+/// may be noise, DN.
 const MAX_NOISE_DN: f32 = 1.0;
 
 /// Mean square of the residual over its lower quartile, for three degrees of freedom.
@@ -59,18 +62,14 @@ const FLOOR_RAD: f32 = 0.0055;
 /// Standard uncertainty per misfit beyond that of noise, rad.
 const PER_MISFIT: f32 = 0.4;
 
-/// So many times the usual square of the misfit is nothing unusual yet.
+/// The square of a misfit is unusual from this many times the usual one on.
 const USUAL: f32 = 2.0;
 
 /// The errors that `edges` expects are RMS values over long tails; their core is narrower.
 const CORE_SHARE: f32 = 0.55;
 
-/// Rows that `demodulate::average_rows` takes from on each side, and its bound.
-const ROWS_EACH_SIDE: usize = 2;
-const MORE_MISFIT: f32 = 0.03;
-
-/// The standard uncertainty of every known phase, as a byte ([`encode_sigma`]). `expected`: the error that `edges` found
-/// for doubtful pixels, NaN for all others. `marker_rows`: rows averaged where `zone` is not 0.
+/// The standard uncertainty of every known phase, as a byte ([`encode_sigma`]). `expected`: the error that `edges`
+/// found for doubtful pixels, NaN for all others. `marker_rows`: rows averaged where `zone` is not 0.
 pub fn sigma_codes(
     absolute: &Plane<f32>,
     FrameMaps { windows, zone, .. }: FrameMaps<'_>,
@@ -122,12 +121,12 @@ fn averaged_rows(windows: &Windows) -> Plane<u8> {
         || {
             for v in 0..misfit.height() {
                 let (own, rows) = (misfit.row(v), rows.row_mut(v));
-                for k in 1..=ROWS_EACH_SIDE.min(v).min(misfit.height() - 1 - v) {
+                for k in 1..=demodulate::row_reach(v, misfit.height()) {
                     let (above, below) = (misfit.row(v - k), misfit.row(v + k));
                     let (light_above, light_below) = (windows.light.row(v - k), windows.light.row(v + k));
                     for (u, rows) in rows.iter_mut().enumerate() {
                         let known = (light_above[u] > 0) & (light_below[u] > 0);
-                        let takes_part = known & (above[u].max(below[u]) <= own[u] + MORE_MISFIT);
+                        let takes_part = known & (above[u].max(below[u]) <= own[u] + demodulate::MORE_MISFIT);
                         *rows += if takes_part { 2 } else { 0 };
                     }
                 }
@@ -137,8 +136,8 @@ fn averaged_rows(windows: &Windows) -> Plane<u8> {
     rows
 }
 
-/// By light: variance of one row's phase, rad^2, and usual mean square of the misfit, both times the square of the
-/// amplitude.
+/// For each class of light: the variance of one row's phase, rad^2, and the usual mean square of the misfit, both times
+/// the square of the amplitude.
 struct Noise([[f32; 2]; CLASSES]);
 
 type Counts = [[u32; BINS]; CLASSES];
@@ -156,10 +155,10 @@ impl Noise {
             for u in 0..absolute.width() {
                 let difference: f32 = WEIGHTS.iter().zip(phases).map(|(w, phase)| w * phase[u]).sum();
                 let amplitude = window_quality::amplitude(strength[u]);
-                let level = (misfit[u] < MAX_MISFIT) | (misfit[u] * amplitude < MAX_NOISE_DN);
-                // Not so for NaN.
+                let level = (misfit[u] < GOOD_MISFIT) | (misfit[u] * amplitude < MAX_NOISE_DN);
+                // False for NaN.
                 if (difference.abs() < MAX_DIFFERENCE) & level {
-                    // Of one row, if rows were independent: what it is divided by again.
+                    // Normalized to the noise of one row; `sigma_codes` divides by the number of rows again.
                     let share: f32 = WEIGHTS.iter().zip(counts).map(|(w, n)| w * w / f32::from(n[u])).sum();
                     let power = amplitude * amplitude;
                     let class = class(window_quality::light(light[u]));
@@ -208,8 +207,10 @@ fn class(light: f32) -> usize {
     ((light / CLASS_DN) as usize).min(CLASSES - 1)
 }
 
-/// The bits of a float above its mantissa's second grow by 1 with every quarter of an octave, nearly.
+/// The bits of a float from here on: as a number they grow by 1 with every quarter of an octave, nearly.
 const BIN_SHIFT: u32 = 21;
+
+/// These bits of 2^-10, the lower end of the first bin.
 const FIRST_BIN: u32 = (127 - 10) << 2;
 
 fn bin(left: f32) -> usize {

@@ -6,16 +6,18 @@ use crate::geometry::pattern::{Marker, Pattern};
 use crate::geometry::{Device, Fringes, Ray};
 use nalgebra::{Point3, Vector3};
 
-/// A triangulation pair with the figures that the stages derive from it.
+/// A camera and its projector, with the figures that the stages derive from them. [`CameraProjector::new`] makes it
+/// from a calibration; it is not changed afterwards.
 #[derive(Debug, Clone)]
 pub struct CameraProjector {
-    /// The camera.
+    /// The camera, with lens and pose in the world.
     pub camera: Device,
-    /// The projector as an inverse camera.
+    /// The projector of its head, as an inverse camera.
     pub projector: Device,
-    /// What it projects.
+    /// The pattern that the projector shows.
     pub pattern: Pattern,
-    /// Which rows of the panel the projector's are, where that is known: what fringes tell is its columns.
+    /// How the calibrated rows of the projector become rows of its panel, where that was calibrated. Fringes alone
+    /// determine its columns only.
     pub rows: Option<PanelRows>,
     /// Indices of the markers on the panel, rising.
     pub markers: Vec<u32>,
@@ -33,7 +35,7 @@ pub struct CameraProjector {
     pub volume_max_m: [f64; 3],
 }
 
-/// No surface is nearer to a camera, m.
+/// Lines of sight are cut off nearer to the camera than this, m. [`super::ray_table`] tabulates from 0.2 m on.
 const NEAREST_M: f64 = 0.05;
 
 /// Points this far outside the calibrated volume are still accepted, m: a hand may reach out of it.

@@ -10,7 +10,7 @@ use super::ray_table::RayTable;
 /// Pixels to the neighbours whose points span the tangent plane; nearer ones where these are missing.
 const REACH_PX: [usize; 2] = [3, 1];
 
-/// The larger of them.
+/// Rows and columns that a normal reaches to each side, px.
 pub(crate) const REACH: usize = REACH_PX[0];
 
 /// Neighbours this much further away than the pixel spacing allows are on another surface.
@@ -22,23 +22,7 @@ pub(crate) const LANES: usize = 16;
 /// One coordinate of some points.
 type Lanes = [f32; LANES];
 
-/// The points of a row, in the world, with room to either side; NaN: none.
-#[derive(Debug, Default)]
-pub(crate) struct Points {
-    pub x: Vec<f32>,
-    pub y: Vec<f32>,
-    pub z: Vec<f32>,
-}
-
-impl Points {
-    /// The first `width` of each coordinate: of one length, so that one check of a place serves for all rows.
-    #[inline(always)]
-    pub fn row(&self, width: usize) -> Row<'_> {
-        [&self.x[..width], &self.y[..width], &self.z[..width]]
-    }
-}
-
-/// The coordinates of the points of a row.
+/// The coordinates of the points of a row, in the world, with room to either side; NaN: none.
 pub(crate) type Row<'a> = [&'a [f32]; 3];
 
 #[inline(always)]
@@ -56,13 +40,13 @@ fn lanes(from: &[f32], place: usize) -> Lanes {
 /// The unit normals of some points.
 pub(crate) struct Oriented {
     pub normal: [Lanes; 3],
-    /// 1 where there is a point whose normal is known and that the projector sees from before.
+    /// 1 where there is a point with a normal that does not face away from the projector.
     pub good: [u8; LANES],
 }
 
 /// The normals of the points at `place ..` of the middle row, towards the camera. `rows` are those at -3, -1, 0,
 /// 1 and 3. A point without a normal, or that faces away from the projector that is supposed to light it, is no good.
-/// Without `NEAR` only neighbours at three pixels count: few blocks have to ask for nearer ones.
+/// Without `NEAR` only neighbours at three pixels count: few blocks need nearer ones.
 #[inline(always)]
 pub(crate) fn orient<const NEAR: bool>(rows: &[Row<'_>; 5], place: usize, table: &RayTable) -> Oriented {
     let [above, just_above, own, just_below, below] = rows;
@@ -88,7 +72,7 @@ pub(crate) fn orient<const NEAR: bool>(rows: &[Row<'_>; 5], place: usize, table:
         let facing = if dot(n, from(table.centre, &centre, i)) > 0.0 { -1.0 } else { 1.0 };
         let scale = facing / length;
         let n = [n[0] * scale, n[1] * scale, n[2] * scale];
-        // Not so where a tangent is missing: it is 0, or NaN.
+        // False where a tangent is missing: then the length is 0 or NaN.
         out.good[i] = u8::from((length > 0.0) & (dot(n, from(table.projector, &centre, i)) < 0.0));
         out.normal[0][i] = n[0];
         out.normal[1][i] = n[1];
@@ -116,8 +100,8 @@ fn limits(points: &[Lanes; 3], table: &RayTable) -> Lanes {
     limit
 }
 
-/// Differences of the points before and after, of one of them to the centre where the other is missing, 0 where both are; and
-/// where there is one (all bits). `limit`: the square of the largest distance for a reach of 1.
+/// Differences of the points before and after, of one of them to the centre where the other is missing, 0 where both
+/// are; and where there is one (all bits). `limit`: the square of the largest distance for a reach of 1.
 #[inline(always)]
 fn differences(
     centre: &[Lanes; 3],
@@ -131,7 +115,7 @@ fn differences(
         let c = pick(centre, i);
         let (a, b) = (pick(before, i), pick(after, i));
         let (da, db) = (sub(a, c), sub(b, c));
-        // Not so for NaN.
+        // False for NaN.
         let has_a = dot(da, da) <= limit[i] * squared;
         let has_b = dot(db, db) <= limit[i] * squared;
         for axis in 0..3 {
@@ -177,7 +161,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::{LANES, Points, orient};
+    use super::{LANES, orient};
     use crate::triangulate::ray_table::RayTable;
     use crate::triangulate::triangulator::tests::strong_lenses;
     use nalgebra::{Point3, Vector3};
@@ -189,34 +173,36 @@ mod tests {
         let table = RayTable::new(&pair);
         let camera = pair.camera.world_from_device.isometry();
         let world = |x: f64, y: f64| camera.transform_point(&Point3::new(x, y, 3.0 - x));
-        let rows: Vec<Points> = (0..20)
+        let rows: Vec<[Vec<f32>; 3]> = (0..20)
             .map(|v| {
-                let mut row = Points::default();
+                let mut row = [Vec::new(), Vec::new(), Vec::new()];
                 for u in -3..3 + 2 * LANES as i32 {
                     let point = world(f64::from(u - 10) * 1e-3, f64::from(v - 10) * 1e-3).cast::<f32>();
                     let hole = (u, v) == (10, 10) || !(0..20).contains(&u);
-                    row.x.push(if hole { f32::NAN } else { point.x });
-                    row.y.push(if hole { f32::NAN } else { point.y });
-                    row.z.push(if hole { f32::NAN } else { point.z });
+                    row[0].push(if hole { f32::NAN } else { point.x });
+                    row[1].push(if hole { f32::NAN } else { point.y });
+                    row[2].push(if hole { f32::NAN } else { point.z });
                 }
                 row
             })
             .collect();
         let width = 6 + 2 * LANES;
         let none = || vec![f32::NAN; width];
-        let empty = Points { x: none(), y: none(), z: none() };
+        let empty = [none(), none(), none()];
         let expected = (camera.rotation * Vector3::new(-1.0, 0.0, -1.0).normalize()).cast::<f32>();
         for (u, v) in [(0, 0), (19, 19), (9, 10), (13, 10), (5, 5)] {
             let row = |dv: i32| usize::try_from(v + dv).ok().and_then(|v| rows.get(v)).unwrap_or(&empty);
             let place = 3 + u / LANES * LANES;
-            let near = [row(-3), row(-1), row(0), row(1), row(3)].map(|row| row.row(width));
+            let near = [row(-3), row(-1), row(0), row(1), row(3)]
+                .map(|row| row.each_ref().map(|axis| &axis[..width]));
             let found = orient::<true>(&near, place, &table);
             let i = u % LANES;
             let n = Vector3::from(found.normal.map(|axis| axis[i]));
             assert!((n - expected).norm() < 2e-3, "({u}, {v}): {n:?}, not {expected:?}");
             assert_eq!(found.good[i], 1, "({u}, {v})");
         }
-        let alone = [&empty, &empty, &rows[5], &empty, &empty].map(|row| row.row(width));
+        let alone =
+            [&empty, &empty, &rows[5], &empty, &empty].map(|row| row.each_ref().map(|axis| &axis[..width]));
         let found = orient::<true>(&alone, 3, &table);
         assert_eq!(found.good, [0; LANES]);
     }

@@ -4,8 +4,8 @@
 //! Rows of points go through a ring of seven, as many as a normal needs, which stays in the cache. The steps come
 //! first so that a cloud made of a stored phase map has the same bytes.
 
-use super::normals::{LANES, Oriented, Points, REACH, Row, orient};
-use super::ray_table::{BLOCK_PX, Line, NODE_PX, PointRow, RayTable};
+use super::normals::{LANES, Oriented, REACH, Row, orient};
+use super::ray_table::{BLOCK_PX, Line, NODE_PX, RayTable};
 use crate::base::image::Plane;
 use crate::data::{Cloud, PhaseMap, Run, STEPS_PER_FRINGE, STEPS_PER_LEVEL, decode_sigma};
 use crate::kernels::fast_round::whole;
@@ -27,7 +27,7 @@ const MAX_STEPS: f32 = 4e6;
 
 /// What is known of a frame on the region of interest.
 #[derive(Debug, Clone, Copy)]
-pub struct KnownPixels<'a> {
+pub(crate) struct KnownPixels<'a> {
     /// Absolute phase, rad; NaN where it is unknown.
     pub absolute: &'a Plane<f32>,
     /// It is known within these only.
@@ -39,10 +39,9 @@ pub struct KnownPixels<'a> {
 }
 
 impl KnownPixels<'_> {
-    /// Appends the runs of the known pixels of a row of the frame. `room` is for a row of bytes.
+    /// Appends the runs of the known pixels of a row of the planes. `room` is for a row of bytes.
     #[inline(always)]
-    pub(crate) fn add_runs(&self, row: usize, room: &mut [u8], to: &mut Vec<Run>) {
-        let v = row - self.roi.v;
+    fn add_runs(&self, v: usize, room: &mut [u8], to: &mut Vec<Run>) {
         for run in self.runs.row(v) {
             let phase = &self.absolute.row(v)[run.columns()];
             let known = &mut room[..phase.len()];
@@ -51,23 +50,9 @@ impl KnownPixels<'_> {
             }
             pixel_runs::runs_of(known, |start, end| {
                 let (first, length) = (self.roi.u + run.start() + start, end - start);
-                to.push(Run { row: row as u16, first: first as u16, length: length as u16 });
+                to.push(Run { row: (self.roi.v + v) as u16, first: first as u16, length: length as u16 });
             });
         }
-    }
-
-    /// The phases of a run in whole steps.
-    #[inline(always)]
-    pub(crate) fn write_phases(&self, run: &Run, to: &mut [i32]) {
-        for (to, &phase) in to.iter_mut().zip(self.part(self.absolute, run)) {
-            *to = steps(phase);
-        }
-    }
-
-    /// The light of a run.
-    #[inline(always)]
-    pub(crate) fn light(&self, run: &Run) -> &[u16] {
-        self.part(self.light, run)
     }
 
     /// What a plane of the region of interest has of a run.
@@ -78,29 +63,32 @@ impl KnownPixels<'_> {
     }
 }
 
-/// Puts the known pixels of a frame of so many columns and rows together, in whole steps. `sigma_code` holds the standard uncertainty of the
-/// phase, as a byte, where it is asked for.
-pub fn phase_map(known: &KnownPixels<'_>, sigma_code: Option<&Plane<u8>>, frame: [u16; 2]) -> PhaseMap {
+/// Collects the known pixels of a frame in whole steps. `sigma_code` holds the standard uncertainty of each phase as a
+/// byte, where uncertainties are wanted; `frame` is columns and rows.
+pub(crate) fn phase_map(
+    known: &KnownPixels<'_>,
+    sigma_code: Option<&Plane<u8>>,
+    frame: [u16; 2],
+) -> PhaseMap {
     let mut map = PhaseMap { frame, ..PhaseMap::default() };
-    let Roi { v: first, width, height, .. } = known.roi;
-    let mut room = vec![0u8; width];
+    let mut room = vec![0u8; known.roi.width];
     simd::dispatch(
         #[inline(always)]
         || {
-            for v in first..first + height {
+            for v in 0..known.roi.height {
                 known.add_runs(v, &mut room, &mut map.runs);
             }
             let pixels = map.runs.iter().map(|run| usize::from(run.length)).sum();
-            map.phase = vec![0; pixels];
-            map.light = vec![0; pixels];
+            (map.phase, map.light) = (vec![0; pixels], vec![0; pixels]);
             map.sigma_code.reserve_exact(if sigma_code.is_some() { pixels } else { 0 });
-            let (mut phases, mut lights) = (&mut map.phase[..], &mut map.light[..]);
+            let mut first = 0;
             for run in &map.runs {
-                let (phase, light);
-                (phase, phases) = phases.split_at_mut(usize::from(run.length));
-                (light, lights) = lights.split_at_mut(usize::from(run.length));
-                known.write_phases(run, phase);
-                light.copy_from_slice(known.light(run));
+                let own = first..first + usize::from(run.length);
+                first = own.end;
+                for (to, &phase) in map.phase[own.clone()].iter_mut().zip(known.part(known.absolute, run)) {
+                    *to = steps(phase);
+                }
+                map.light[own].copy_from_slice(known.part(known.light, run));
                 if let Some(sigma_code) = sigma_code {
                     map.sigma_code.extend_from_slice(known.part(sigma_code, run));
                 }
@@ -116,40 +104,29 @@ fn steps(phase: f32) -> i32 {
     whole((phase * (STEPS_PER_FRINGE / TAU)).clamp(-MAX_STEPS, MAX_STEPS))
 }
 
-/// Rows that a cloud is made with.
-#[derive(Default)]
-struct Scratch {
-    line: Line,
-    /// Absolute phase of a row, in fringes.
-    fringes: Vec<f32>,
-    ring: [RingRow; RING],
-    run: RunNormals,
-}
-
-/// A row of points.
+/// A row of points in the ring.
 #[derive(Default)]
 struct RingRow {
-    points: Points,
+    /// x, y and z of each point, world, m; NaN: none.
+    points: [Vec<f32>; 3],
+    /// Metres along the line of sight per rad of phase.
     metres_per_rad: Vec<f32>,
     /// What is written of it: all else is NaN.
     written: Range<usize>,
 }
 
 impl RingRow {
-    fn resize(&mut self, width: usize) {
-        for plane in [&mut self.points.x, &mut self.points.y, &mut self.points.z, &mut self.metres_per_rad] {
-            plane.clear();
-            plane.resize(width, f32::NAN);
-        }
-        self.written = 0..0;
+    fn new(width: usize) -> Self {
+        let none = || vec![f32::NAN; width];
+        Self { points: [none(), none(), none()], metres_per_rad: none(), written: 0..0 }
     }
 
-    /// What is written next: what was before becomes NaN, but for what is written again.
+    /// Prepares the row for new points in the columns `written`: older points outside of these become NaN.
     #[inline(always)]
     fn begin(&mut self, written: Range<usize>) {
         let Range { start, end } = self.written;
         let (before, behind) = (written.start.clamp(start, end), written.end.clamp(start, end));
-        for plane in [&mut self.points.x, &mut self.points.y, &mut self.points.z] {
+        for plane in &mut self.points {
             plane[start..before].fill(f32::NAN);
             plane[behind..end].fill(f32::NAN);
         }
@@ -158,54 +135,43 @@ impl RingRow {
 }
 
 /// The cloud of a frame, in the world. Pixels whose point lies outside the volume, has no normal or faces away from
-/// the projector that is supposed to light it, give none. The map must be of the table's camera
-/// ([`RayTable::fits`]).
+/// the projector that is supposed to light it, give none. The map must be of the table's camera.
 pub fn make(table: &RayTable, map: &PhaseMap) -> Cloud {
-    let scratch = &mut Scratch::default();
-    if map.sigma_code.is_empty() {
-        simd::dispatch(
-            #[inline(always)]
-            || make_with::<false>(table, map, scratch),
-        )
-    } else {
-        simd::dispatch(
-            #[inline(always)]
-            || make_with::<true>(table, map, scratch),
-        )
-    }
+    simd::dispatch(
+        #[inline(always)]
+        || make_rows(table, map),
+    )
 }
 
 #[inline(always)]
-fn make_with<const SIGMA: bool>(table: &RayTable, map: &PhaseMap, scratch: &mut Scratch) -> Cloud {
+fn make_rows(table: &RayTable, map: &PhaseMap) -> Cloud {
     let mut cloud = Cloud::default();
     let (Some(first), Some(last)) = (map.runs.first(), map.runs.last()) else { return cloud };
-    reserve(&mut cloud, map.phase.len(), SIGMA);
+    reserve(&mut cloud, map.phase.len(), !map.sigma_code.is_empty());
     let left = map.runs.iter().map(|run| usize::from(run.first)).min().unwrap_or(0) / NODE_PX;
     let right = map.runs.iter().map(Run::end).max().unwrap_or(0).div_ceil(NODE_PX);
     let width = (right - left) * NODE_PX + 2 * PAD;
     let frame = Frame { table, map, left };
-    scratch.fringes.clear();
-    scratch.fringes.resize(width, f32::NAN);
-    scratch.ring.iter_mut().for_each(|row| row.resize(width));
-    scratch.run.resize(width);
+    let (mut line, mut fringes) = (Line::default(), vec![f32::NAN; width]);
+    let mut ring: [RingRow; RING] = std::array::from_fn(|_| RingRow::new(width));
+    let mut normals = RunNormals::new(width);
     // The runs and pixels whose points are made next, and those whose normals are.
     let (mut run_in, mut pixel_in, mut run_out, mut pixel_out) = (0, 0, 0, 0);
     for v in usize::from(first.row)..=usize::from(last.row) + REACH {
-        let ring = &mut scratch.ring[v % RING];
+        let row = &mut ring[v % RING];
         let runs = runs_of_row(map, &mut run_in, v);
         if runs.is_empty() {
-            ring.begin(0..0);
+            row.begin(0..0);
         } else {
-            let phase = &map.phase[pixel_in..];
-            pixel_in += frame.points::<SIGMA>(v, runs, phase, &mut scratch.fringes, &mut scratch.line, ring);
+            pixel_in += frame.points(v, runs, &map.phase[pixel_in..], &mut fringes, &mut line, row);
         }
         let Some(v) = v.checked_sub(REACH) else { continue };
         let runs = runs_of_row(map, &mut run_out, v);
         if !runs.is_empty() {
             // Row v - 3 is where v + 4 will be.
-            let row = |dv: usize| &scratch.ring[(v + RING + dv - REACH) % RING];
+            let row = |dv: usize| &ring[(v + RING + dv - REACH) % RING];
             let rows = [row(0), row(2), row(3), row(4), row(6)];
-            pixel_out += frame.emit::<SIGMA>(rows, runs, pixel_out, &mut scratch.run, &mut cloud);
+            pixel_out += frame.emit(rows, runs, pixel_out, &mut normals, &mut cloud);
         }
     }
     cloud
@@ -241,7 +207,7 @@ struct Frame<'a> {
 impl Frame<'_> {
     /// The points of a row. `phase` begins with its pixels; returns how many these are.
     #[inline(always)]
-    fn points<const SCALE: bool>(
+    fn points(
         &self,
         v: usize,
         runs: &[Run],
@@ -267,21 +233,17 @@ impl Frame<'_> {
         let first = place(start * NODE_PX);
         let written = first..first + ((end - start) * NODE_PX).next_multiple_of(BLOCK_PX);
         ring.begin(written.clone());
-        let scale = if SCALE { written.clone() } else { 0..0 };
-        let mut out = PointRow {
-            x: &mut ring.points.x[written.clone()],
-            y: &mut ring.points.y[written.clone()],
-            z: &mut ring.points.z[written.clone()],
-            metres_per_rad: &mut ring.metres_per_rad[scale],
-        };
-        table.points::<SCALE>(line, &fringes[written.clone()], &mut out);
+        let scale = if self.map.sigma_code.is_empty() { 0..0 } else { written.clone() };
+        let [x, y, z] = &mut ring.points;
+        let points = [&mut x[written.clone()], &mut y[written.clone()], &mut z[written.clone()]];
+        table.points(line, &fringes[written.clone()], points, &mut ring.metres_per_rad[scale]);
         fringes[written].fill(f32::NAN);
         pixel
     }
 
     /// Appends the points of a row, whose pixels begin with `pixel`; returns how many pixels these are.
     #[inline(always)]
-    fn emit<const SIGMA: bool>(
+    fn emit(
         &self,
         rows: [&RingRow; 5],
         runs: &[Run],
@@ -290,15 +252,14 @@ impl Frame<'_> {
         cloud: &mut Cloud,
     ) -> usize {
         let Self { table, map, left } = *self;
-        let width = rows[2].points.x.len();
-        let [a, b, c, d, e] = rows;
-        let points = [
-            a.points.row(width),
-            b.points.row(width),
-            c.points.row(width),
-            d.points.row(width),
-            e.points.row(width),
-        ];
+        // Of one length, so that one check of a place serves for all rows.
+        let width = rows[2].points[0].len();
+        let mut points: [Row<'_>; 5] = [[&[]; 3]; 5];
+        for (points, row) in points.iter_mut().zip(rows) {
+            for (to, axis) in points.iter_mut().zip(&row.points) {
+                *to = &axis[..width];
+            }
+        }
         let mut done = 0;
         for run in runs {
             let count = usize::from(run.length);
@@ -312,7 +273,8 @@ impl Frame<'_> {
                 |offset| expect(cloud, offset),
             );
             let positions = points[2].map(|axis| &axis[place..place + count]);
-            let normals = own.normals.row(count);
+            let [x, y, z] = &own.normals;
+            let normals = [&x[..count], &y[..count], &z[..count]];
             let light = &map.light[pixel + done..][..count];
             pixel_runs::runs_of(
                 &own.good[..count],
@@ -323,15 +285,9 @@ impl Frame<'_> {
                     cloud.intensity.extend(light[start..end].iter().map(|&light| intensity(light)));
                     let first = run.first + start as u16;
                     cloud.pixel.extend((first..first + (end - start) as u16).map(|column| [column, run.row]));
-                    if SIGMA {
-                        let sigma_code = &map.sigma_code[pixel + done..][start..end];
-                        let scale = &c.metres_per_rad[place..place + count][start..end];
-                        cloud.sigma_m.extend(
-                            sigma_code
-                                .iter()
-                                .zip(scale)
-                                .map(|(&sigma_code, scale)| decode_sigma(sigma_code) * scale),
-                        );
+                    if let Some(codes) = map.sigma_code.get(pixel + done + start..pixel + done + end) {
+                        let codes = codes.iter().zip(&rows[2].metres_per_rad[place + start..]);
+                        cloud.sigma_m.extend(codes.map(|(&code, scale)| decode_sigma(code) * scale));
                     }
                 },
             );
@@ -342,22 +298,19 @@ impl Frame<'_> {
 }
 
 /// The normals of a run's points, good or not: points are appended by stretches of good ones.
-#[derive(Default)]
 struct RunNormals {
-    normals: Points,
+    normals: [Vec<f32>; 3],
     good: Vec<u8>,
 }
 
 impl RunNormals {
-    fn resize(&mut self, width: usize) {
-        for plane in [&mut self.normals.x, &mut self.normals.y, &mut self.normals.z] {
-            plane.resize(width, 0.0);
-        }
-        self.good.resize(width, 0);
+    fn new(width: usize) -> Self {
+        let zeros = || vec![0.0; width];
+        Self { normals: [zeros(), zeros(), zeros()], good: vec![0; width] }
     }
 
-    /// Takes the normals of `count` points from `place` on. `rows` are those around them that [`orient`] asks for. `block` is told the first
-    /// of each [`LANES`] of them.
+    /// Computes the normals of `count` points from `place` on. `rows` are those around them that [`orient`] needs.
+    /// `block` is called with the number of the first of each [`LANES`] points.
     #[inline(always)]
     fn orient(
         &mut self,
@@ -373,7 +326,7 @@ impl RunNormals {
             self.put(&oriented, offset);
             let known = BELOW[LANES.min(count - offset)];
             if (u128::from_le_bytes(oriented.good) ^ ALL) & known != 0 {
-                // From the beginning, so that nothing has to be kept for it everywhere else.
+                // Computed anew, so that the first pass need not keep values for this rare case.
                 self.put(&orient::<true>(rows, black_box(place + offset), table), offset);
             }
         }
@@ -381,16 +334,15 @@ impl RunNormals {
 
     #[inline(always)]
     fn put(&mut self, oriented: &Oriented, offset: usize) {
-        let Points { x, y, z } = &mut self.normals;
-        for (to, normal) in [x, y, z].into_iter().zip(&oriented.normal) {
+        for (to, normal) in self.normals.iter_mut().zip(&oriented.normal) {
             to[offset..offset + LANES].copy_from_slice(normal);
         }
         self.good[offset..offset + LANES].copy_from_slice(&oriented.good);
     }
 }
 
-/// Asks for the memory of [`LANES`] points that are appended soon, behind so many others: a cloud is larger than the cache, and to
-/// write it would take longer than to make it.
+/// Prefetches the memory of [`LANES`] points that are appended soon, `offset` places behind the end: a cloud is larger
+/// than the cache, and writing it would take longer than computing it.
 #[inline(always)]
 fn expect(cloud: &mut Cloud, offset: usize) {
     ask_for(&mut cloud.position_m, offset);
@@ -399,7 +351,7 @@ fn expect(cloud: &mut Cloud, offset: usize) {
     ask_for(&mut cloud.pixel, offset);
 }
 
-/// The same of one of its lists.
+/// The same for one of the lists of a cloud.
 #[inline(always)]
 fn ask_for<T>(list: &mut Vec<T>, offset: usize) {
     let room = list.spare_capacity_mut();
@@ -414,8 +366,10 @@ fn append(to: &mut Vec<[f32; 3]>, [x, y, z]: [&[f32]; 3]) {
     to.extend(x.iter().zip(y).zip(z).map(|((&x, &y), &z)| [x, y, z]));
 }
 
-/// A byte for each of a block's points: all of them good, and all bits of those below a number.
+/// The bytes of a block whose points are all good.
 const ALL: u128 = u128::MAX / 255;
+
+/// For each number of points, all bits of as many bytes.
 const BELOW: [u128; LANES + 1] = {
     let mut below = [0; LANES + 1];
     let mut count = 1;

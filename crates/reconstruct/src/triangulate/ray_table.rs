@@ -12,17 +12,17 @@ use crate::kernels::prefetch;
 use nalgebra::{Point3, Vector3};
 use std::f64::consts::TAU;
 
-/// Pixels between nodes.
-pub const NODE_PX: usize = 8;
+/// Pixels between neighbouring nodes, along columns and rows.
+pub(crate) const NODE_PX: usize = 8;
 
-/// Pixels that are worked on at once: loops over so many become vectors, those over the pixels between two nodes would be
-/// taken apart first.
+/// Pixels that are worked on at once. The compiler turns loops of this length into vectors; loops over the pixels
+/// between two nodes it would unroll.
 pub(crate) const BLOCK_PX: usize = 32;
 
 /// A number for each pixel of a block.
 type Block = [f32; BLOCK_PX];
 
-/// Coefficients of the polynomial.
+/// Coefficients of the polynomial: its degree is 5, which is exact to 0.01 mm.
 const TERMS: usize = 6;
 
 /// A node: direction of sight in the world (camera z = 1), then the polynomial from its constant term on.
@@ -34,7 +34,7 @@ const PANEL_MARGIN: f64 = 1.2;
 /// Depths that are tried to find the part of a line of sight that the panel can light.
 const TRIED_DEPTHS: usize = 17;
 
-/// No surface is nearer to a camera, m.
+/// Lines of sight are tabulated from this depth on, m.
 const NEAREST_M: f64 = 0.2;
 
 /// The lines of sight of one camera, with what its projector's columns do on them.
@@ -56,8 +56,8 @@ pub struct RayTable {
     volume: [[f32; 3]; 2],
 }
 
-/// The lines of sight of a row, block by block of 8 px: the node of its first pixel, and what it changes by from pixel to
-/// pixel. There is one node more than there are blocks.
+/// The lines of sight of a row, block by block of 8 px: the node of its first pixel, and what it changes by from pixel
+/// to pixel. There is one node more than there are blocks.
 #[derive(Debug, Default)]
 pub(crate) struct Line {
     from: Vec<Node>,
@@ -71,16 +71,6 @@ pub(crate) struct Sightline {
     pub direction: [f32; 3],
     /// The inverse depth over the panel's columns, from the constant term on.
     terms: [f32; TERMS],
-}
-
-/// Coordinates of points in a row of the table's blocks; NaN where there is none.
-#[derive(Debug)]
-pub(crate) struct PointRow<'a> {
-    pub x: &'a mut [f32],
-    pub y: &'a mut [f32],
-    pub z: &'a mut [f32],
-    /// Metres along the line of sight per rad of phase; empty where it is not asked for.
-    pub metres_per_rad: &'a mut [f32],
 }
 
 impl RayTable {
@@ -124,15 +114,15 @@ impl RayTable {
         Sightline { direction: [x, y, z], terms }
     }
 
-    /// The first and the last absolute phase, in fringes, at which the line of sight of pixel (u, v) is in the volume, to half a fringe;
-    /// the first is above the last where it misses it.
+    /// The first and the last absolute phase, in fringes, at which the line of sight of pixel (u, v) is in the volume,
+    /// to half a fringe; the first is above the last where it misses it.
     pub(crate) fn fringes_in_volume(&self, u: usize, v: usize) -> [f32; 2] {
         let (column, row) = ((u + NODE_PX / 2) / NODE_PX, (v + NODE_PX / 2) / NODE_PX);
         self.inside.get(row * self.columns + column).copied().unwrap_or(NOWHERE)
     }
 
-    /// Inverse of the depth at which a line of sight has the absolute phases `first`, `first + 1`, ..., in fringes; no number outside of
-    /// the volume.
+    /// Inverse of the depth at which a line of sight has the absolute phases `first`, `first + 1`, ..., in fringes; no
+    /// number outside of the volume.
     #[inline(always)]
     pub(crate) fn inverse_depths<const N: usize>(&self, line: &Sightline, first: f32) -> [f32; N] {
         let mut inverse = [0f32; N];
@@ -159,7 +149,7 @@ impl RayTable {
         let above = v / NODE_PX * self.columns + first;
         let t = (v % NODE_PX) as f32 / NODE_PX as f32;
         let (a, b) = (&self.nodes[above..=above + blocks], &self.nodes[above + self.columns..]);
-        // A row of nodes is new to the cache every eight rows: a part of the next one is asked for in each of those before.
+        // Every eighth row needs a new row of nodes: each of the rows before prefetches a part of it.
         let next = &self.nodes[self.nodes.len().min(above + 2 * self.columns)..];
         let part = blocks.div_ceil(NODE_PX);
         for node in next.iter().take(blocks + 1).skip(v % NODE_PX * part).take(part + 1) {
@@ -177,12 +167,19 @@ impl RayTable {
         }
     }
 
-    /// The points of the pixels of some blocks of [`BLOCK_PX`]. `fringes`: absolute phase of each pixel in fringes, NaN
-    /// where it is not known and beyond the lines of sight of `line`. All of `out` is written.
+    /// The points of the pixels of some blocks of [`BLOCK_PX`]. `fringes`: absolute phase of each pixel in fringes,
+    /// NaN where it is not known and beyond the lines of sight of `line`. All coordinates are written, NaN where there
+    /// is no point; and metres along the line of sight per rad of phase, unless that is empty.
     #[inline(always)]
-    pub(crate) fn points<const SCALE: bool>(&self, line: &Line, fringes: &[f32], out: &mut PointRow<'_>) {
+    pub(crate) fn points(
+        &self,
+        line: &Line,
+        fringes: &[f32],
+        [x, y, z]: [&mut [f32]; 3],
+        metres_per_rad: &mut [f32],
+    ) {
         let blocks = fringes.as_chunks().0;
-        let (x, y, z) = (out.x.as_chunks_mut().0, out.y.as_chunks_mut().0, out.z.as_chunks_mut().0);
+        let (x, y, z) = (x.as_chunks_mut().0, y.as_chunks_mut().0, z.as_chunks_mut().0);
         let mut sight = [[0f32; BLOCK_PX]; 3 + TERMS];
         for (block, (((fringes, x), y), z)) in blocks.iter().zip(x).zip(y).zip(z).enumerate() {
             let fringes: &Block = fringes;
@@ -200,12 +197,10 @@ impl RayTable {
             let (mut s, mut w, mut depth) = ([0f32; BLOCK_PX], [0f32; BLOCK_PX], [0f32; BLOCK_PX]);
             for i in 0..BLOCK_PX {
                 s[i] = fringes[i] * self.per_fringe - 1.0;
-                let mut sum = terms[5][i];
-                sum = sum * s[i] + terms[4][i];
-                sum = sum * s[i] + terms[3][i];
-                sum = sum * s[i] + terms[2][i];
-                sum = sum * s[i] + terms[1][i];
-                w[i] = sum * s[i] + terms[0][i];
+                w[i] = terms[TERMS - 1][i];
+                for k in (0..TERMS - 1).rev() {
+                    w[i] = w[i] * s[i] + terms[k][i];
+                }
                 depth[i] = 1.0 / w[i];
             }
             let ([x0, y0, z0], [low, high]) = (self.centre, &self.volume);
@@ -225,9 +220,8 @@ impl RayTable {
                 y[i] = if inside { py } else { f32::NAN };
                 z[i] = if inside { pz } else { f32::NAN };
             }
-            if SCALE {
-                let slopes = (&s, &depth, self.per_fringe / TAU as f32);
-                scale(&sight, slopes, &mut out.metres_per_rad[block * BLOCK_PX..(block + 1) * BLOCK_PX]);
+            if let Some(out) = metres_per_rad.get_mut(block * BLOCK_PX..(block + 1) * BLOCK_PX) {
+                scale(&sight, (&s, &depth, self.per_fringe / TAU as f32), out);
             }
         }
     }
@@ -265,7 +259,7 @@ fn scale(c: &[Block; 3 + TERMS], (s, depth, per_rad): (&Block, &Block, f32), met
     }
 }
 
-/// No fringes.
+/// The fringes of a line of sight that misses the volume: the first is above the last.
 const NOWHERE: [f32; 2] = [1.0, 0.0];
 
 /// The fringes between which the line of sight of a pixel is in the volume, and half a fringe more at either end.
@@ -363,7 +357,7 @@ fn through(points: &[[f64; 2]; TERMS]) -> Option<[f64; TERMS]> {
 
 #[cfg(test)]
 mod tests {
-    use super::{BLOCK_PX, Line, NODE_PX, PointRow, RayTable};
+    use super::{BLOCK_PX, Line, NODE_PX, RayTable};
     use crate::triangulate::triangulator::Triangulator;
     use crate::triangulate::triangulator::tests::strong_lenses;
 
@@ -388,8 +382,7 @@ mod tests {
                     fringes.resize(room, f32::NAN);
                     let mut found = [(); 4].map(|()| vec![0f32; room]);
                     let [x, y, z, scale] = &mut found;
-                    let mut out = PointRow { x, y, z, metres_per_rad: scale };
-                    table.points::<true>(&line, &fringes, &mut out);
+                    table.points(&line, &fringes, [x, y, z], scale);
                     found
                 };
                 let ([x, y, z, scale], next) = (points(0.0), points(0.01));

@@ -5,7 +5,7 @@ use super::{Input, complete};
 use crate::base::image::{Mono8, Plane};
 use crate::kernels::pixel_runs::Runs;
 use crate::phase::demodulate::Gains;
-use crate::phase::phasors::{self, demodulate, wrapped};
+use crate::phase::for_tests::{self, demodulate, wrapped};
 use crate::phase::window_quality::Windows;
 use std::f32::consts::TAU;
 
@@ -41,7 +41,7 @@ fn before(image: &Plane<u8>, mask: &Plane<u8>, sign: f32) -> (Plane<f32>, Window
     for (u, phase) in absolute.as_mut_slice().iter_mut().enumerate() {
         *phase += TAU * ((sign * truth(u) - *phase) / TAU).round();
     }
-    (absolute, phasors::windows(phasors, &Runs::of(mask)), period)
+    (absolute, for_tests::windows(phasors, &Runs::of(mask)), period)
 }
 
 /// Pixels known, and the RMS and largest error of those up to 16 px from the ends of the mask.

@@ -14,6 +14,7 @@
 use super::Mesh;
 use super::tetrahedra::{Crossing, Field, surface};
 use crate::data::Cloud;
+use crate::geometry::cells::{Cells, cell_of};
 use rayon::prelude::*;
 use std::collections::HashMap;
 
@@ -369,10 +370,7 @@ fn vertices(grid: &Grid, level: &Level, samples: &[Sample], crossings: &[Crossin
     let size = grid.size;
     let steps = [1, size[0], size[0] * size[1]];
     let place = |node: usize| [node % size[0], node / size[0] % size[1], node / size[0] / size[1]];
-    let mut cells: HashMap<[usize; 3], &Sample> = HashMap::new();
-    for sample in samples {
-        cells.insert(sample.place.map(|x| x as usize), sample);
-    }
+    let cells = Cells::new(samples.iter().map(|sample| (cell_of(sample.place.map(f64::from), 1.0), sample)));
     let mut cloud = Cloud::default();
     for crossing in crossings {
         let (a, b, t) = (place(crossing.inside), place(crossing.outside), crossing.fraction);
@@ -392,20 +390,10 @@ fn vertices(grid: &Grid, level: &Level, samples: &[Sample], crossings: &[Crossin
 }
 
 /// The nearest sample in the cells around a place.
-fn nearest<'a>(cells: &HashMap<[usize; 3], &'a Sample>, at: [f32; 3]) -> Option<&'a Sample> {
-    let middle = at.map(|x| x as usize);
-    let mut best: Option<(f32, &Sample)> = None;
-    for i in 0..27 {
-        let offset = [i % 3, i / 3 % 3, i / 9];
-        let cell: [usize; 3] = std::array::from_fn(|k| (middle[k] + offset[k]).wrapping_sub(1));
-        if let Some(sample) = cells.get(&cell) {
-            let squared: f32 = (0..3).map(|k| (sample.place[k] - at[k]).powi(2)).sum();
-            if best.is_none_or(|(least, _)| squared < least) {
-                best = Some((squared, sample));
-            }
-        }
-    }
-    best.map(|(_, sample)| sample)
+fn nearest<'a>(cells: &Cells<&'a Sample>, at: [f32; 3]) -> Option<&'a Sample> {
+    let squared = |sample: &Sample| (0..3).map(|k| (sample.place[k] - at[k]).powi(2)).sum::<f32>();
+    let around = cells.around(cell_of(at.map(f64::from), 1.0));
+    around.copied().min_by(|a, b| squared(a).total_cmp(&squared(b)))
 }
 
 #[cfg(test)]

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Stages of the front end by themselves, on whole frames: what tests ask of each. What is run goes row by row
+//! Stages of the front end by themselves, on whole frames, for unit tests. The pipeline runs them row by row
 //! ([`crate::wrapped_phase`]).
 
 use super::demodulate::{Gains, average_block, demodulate_row, phase, row_reach, units};
@@ -12,9 +12,7 @@ use crate::kernels::subpixel::{self, LANES, Light};
 /// The phasor of each pixel: `c + i s = 6 B exp(i W)`; both zero where it is unknown.
 #[derive(Debug)]
 pub struct Phasors {
-    /// Real part.
     pub c: Plane<f32>,
-    /// Imaginary part.
     pub s: Plane<f32>,
     /// Light over the window's one period: the mean, DN.
     pub mean: Plane<f32>,
