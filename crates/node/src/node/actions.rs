@@ -4,13 +4,13 @@
 
 use super::camera_keeper::{clock_readings, exchange};
 use super::devices::Devices;
+use super::event_kind::EventKind;
 use super::node_thread::Node;
-use crate::acquire::recorder::RecorderCommand;
 use crate::base::clock_fit::Exchange;
 use crate::base::ids::CameraId;
 use crate::base::{Exit, Fault};
 use crate::host::realtime;
-use crate::record::{ACTION_COMMANDS, ACTIONS_AT_ONCE, NodeEvent, ptp_keeps};
+use crate::record::{ACTIONS_AT_ONCE, ptp_keeps};
 use std::time::{Duration, Instant};
 
 /// Cameras agree on a master and set their clocks within this.
@@ -104,23 +104,15 @@ impl Node {
         let (Some(session), Some(action)) = (&self.session, self.devices.unit().action()) else { return };
         for (camera, counts) in action.tally.counts() {
             if !counts.is_clean() {
-                tracing::warn!(%camera, kind = ACTION_COMMANDS, "{counts}");
+                tracing::warn!(%camera, "{counts}");
             }
-            session.tell(RecorderCommand::Event(NodeEvent {
-                host_time_ns: session.clock.now(),
-                kind: ACTION_COMMANDS.to_owned(),
-                camera: Some(camera),
-                trigger: None,
-                message: counts.to_string(),
-            }));
+            session.record(session.event(EventKind::ActionCommands, Some(camera), counts.to_string()));
         }
         // What came before Record is not recorded.
         let first = session.kept.as_ref().map_or(0, |kept| kept.first);
         for (camera, row, why) in action.tally.untimely() {
             let Some(row) = row.behind(first) else { continue };
-            let event = row.event(camera.clone(), &why, session.clock.now());
-            tracing::warn!(%camera, kind = %event.kind, trigger = row.first, "{}", event.message);
-            session.tell(RecorderCommand::Event(event));
+            session.warn(row.event(camera, &why, session.clock.now()));
         }
     }
 }

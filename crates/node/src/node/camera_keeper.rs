@@ -3,6 +3,7 @@
 //! back when it was lost. So nothing that a camera does or does not do makes the node's own thread wait.
 
 use super::devices::{OpenCamera, SharedBackend};
+use super::event_kind::EventKind;
 use super::ptp_watch::PtpWatch;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::RecorderCommand;
@@ -11,7 +12,7 @@ use crate::base::time::HostClock;
 use crate::camera::{Camera, CameraClockSample, CameraError, StreamOptions, quiet_stream};
 use crate::host::frame_memory::Pool;
 use crate::hsu::action::{ActionTally, PtpClock};
-use crate::record::{ClockSample, GapCause, NodeEvent, PTP_STATUS};
+use crate::record::{ClockSample, GapCause};
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -210,14 +211,14 @@ impl Work {
     fn begin_ptp(&mut self) {
         let camera = self.setup.camera.camera.as_mut();
         if let Some(status) = camera.and_then(|camera| self.ptp.begin(camera.as_mut())) {
-            self.note(PTP_STATUS, status);
+            self.note(EventKind::PtpStatus, status);
         }
     }
 
     fn look_at_ptp(&mut self, at_the_end: bool) {
         let camera = self.setup.camera.camera.as_mut().filter(|_| self.receiver.is_some());
         match camera.map(|camera| self.ptp.look(camera.as_mut(), at_the_end)) {
-            Some(Ok(Some(status))) => self.note(PTP_STATUS, status),
+            Some(Ok(Some(status))) => self.note(EventKind::PtpStatus, status),
             // Nothing that it says of its clock can be believed, and its frames are placed by that.
             Some(Err(error @ CameraError::Nonsense { .. })) => self.lost(&error),
             // A camera that does not answer is lost, and that is noted.
@@ -248,7 +249,7 @@ impl Work {
         drop(self.setup.to_recorder.send(RecorderCommand::CameraLost(camera, cause)));
         drop(self.setup.reports.send(Report::Lost { camera, reason }));
         let counters = receiver.stop();
-        self.note("stream_counters", counters_text(&counters));
+        self.note(EventKind::StreamCounters, counters_text(&counters));
         // A handle that has lost its camera is of no more use: it must be opened anew.
         self.setup.camera.camera = None;
     }
@@ -261,7 +262,7 @@ impl Work {
                     "{} settings set and read back, fresh stream of {} buffers",
                     self.set, self.setup.blocks
                 );
-                self.note("camera_back", text);
+                self.note(EventKind::CameraBack, text);
                 drop(self.setup.reports.send(Report::Back { camera }));
             }
             Err(reason) => {
@@ -282,7 +283,7 @@ impl Work {
         let camera = self.setup.receiver.camera;
         self.holder = Some(holder);
         drop(self.setup.to_recorder.send(RecorderCommand::CameraAway(camera, GapCause::ControlLost)));
-        self.note("camera_owned", reason.to_owned());
+        self.note(EventKind::CameraOwned, reason.to_owned());
         drop(self.setup.reports.send(Report::Owned { camera, reason: reason.to_owned() }));
     }
 
@@ -303,12 +304,12 @@ impl Work {
                 config.address,
                 camera.identity()
             );
-            self.note("camera_refused", reason.clone());
+            self.note(EventKind::CameraRefused, reason.clone());
             return Err(reason);
         }
         let set_up = camera.set_up(&self.setup.camera.wishes).map_err(text)?;
         if let Some(status) = self.ptp.look(camera.as_mut(), false).map_err(text)? {
-            self.note(PTP_STATUS, status);
+            self.note(EventKind::PtpStatus, status);
         }
         self.setup.options.contract = set_up.contract;
         self.setup.camera.watched = set_up.watched;
@@ -353,14 +354,9 @@ impl Work {
         }
     }
 
-    fn note(&self, kind: &str, message: String) {
-        let event = NodeEvent {
-            host_time_ns: self.setup.receiver.clock.now(),
-            kind: kind.to_owned(),
-            camera: Some(self.setup.camera.config.id.clone()),
-            trigger: None,
-            message,
-        };
+    fn note(&self, kind: EventKind, message: String) {
+        let id = self.setup.camera.config.id.clone();
+        let event = kind.event(self.setup.receiver.clock.now(), Some(id), message);
         drop(self.setup.to_recorder.send(RecorderCommand::Event(event)));
     }
 }

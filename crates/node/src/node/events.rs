@@ -2,6 +2,7 @@
 //! What happens to a session while it runs: the HSU's reports, lost and returning devices, the recorder's word.
 
 use super::camera_keeper::Report;
+use super::event_kind::EventKind;
 use super::node_thread::{Node, hsu_session};
 use super::silence::{Notice, SILENT_TRIGGERS};
 use super::state_machine::Event;
@@ -47,18 +48,15 @@ impl Node {
                 self.listen(index.0);
             }
             HsuEvent::TriggersMissing { session, first, count } if Some(session) == ours => {
-                self.note(
-                    "triggers_missing",
-                    None,
-                    &format!("the times of {count} triggers from {first} on are lost"),
-                );
+                let message = format!("the times of {count} triggers from {first} on are lost");
+                self.note(EventKind::TriggersMissing, None, message);
             }
             HsuEvent::Done { session, emitted, .. } if Some(session) == ours => {
                 self.take(Event::TrainDone { emitted })
             }
             HsuEvent::Fault { session, fault } if Some(session) == ours => {
                 let message = format!("the HSU reports: {fault}");
-                self.note("hsu_fault", None, &message);
+                self.note(EventKind::HsuFault, None, message.as_str());
                 // The other node looks for its link; the train goes on, and so do we.
                 let other_link = matches!(fault, HsuFault::LinkSilent { .. });
                 let running = self.machine.train_runs();
@@ -79,7 +77,7 @@ impl Node {
     pub(crate) fn hsu_gone(&mut self, reason: String) {
         let message = lost_link_text(&reason);
         self.devices.drop_hsu(message.clone());
-        self.note("hsu_lost", None, &message);
+        self.note(EventKind::HsuLost, None, message.as_str());
         self.take(Event::Failed(Fault::new(Exit::Device, message)));
     }
 
@@ -90,7 +88,7 @@ impl Node {
             return self.hsu_gone(reason);
         }
         let message = lost_link_text(&reason);
-        self.note("hsu_link_lost", None, &message);
+        self.note(EventKind::HsuLinkLost, None, message.as_str());
         self.devices.drop_hsu(message);
         self.in_session(|session| {
             if let Some(keeper) = &session.link_keeper {
@@ -103,7 +101,8 @@ impl Node {
     /// The link is back, with a new connection.
     pub(crate) fn link_back(&mut self, hsu: Arc<Hsu>) {
         self.devices.take_hsu(hsu);
-        self.note("hsu_link_back", None, "the HSU answers again; triggers fired meanwhile are asked for");
+        let message = "the HSU answers again; triggers fired meanwhile are requested";
+        self.note(EventKind::HsuLinkBack, None, message);
         self.take(Event::LinkBack);
     }
 
@@ -122,28 +121,16 @@ impl Node {
                     if let Some(attendant) = session.attendants.get(camera) {
                         attendant.probe();
                     }
-                    let message = format!("nothing was heard of the camera for {SILENT_TRIGGERS} triggers");
-                    (camera, "camera_silent", since, message)
+                    let message = format!("the camera sent nothing for {SILENT_TRIGGERS} triggers");
+                    (camera, EventKind::CameraSilent, since, message)
                 }
                 Notice::HeardAgain { camera, at } => {
-                    (camera, "camera_heard_again", at, "the camera is heard again".to_owned())
+                    (camera, EventKind::CameraHeardAgain, at, "the camera sends again".to_owned())
                 }
             };
             let id = session.cameras.get(camera).map(|camera| camera.id.clone());
-            tracing::warn!(
-                camera = id.as_ref().map(tracing::field::display),
-                trigger = at,
-                kind,
-                "{message}"
-            );
-            let event = NodeEvent {
-                host_time_ns: session.clock.now(),
-                kind: kind.to_owned(),
-                camera: id,
-                trigger: Some(TriggerIndex(at)),
-                message,
-            };
-            session.tell(RecorderCommand::Event(event));
+            let trigger = Some(TriggerIndex(at));
+            session.warn(NodeEvent { trigger, ..session.event(kind, id, message) });
         }
     }
 
@@ -164,7 +151,7 @@ impl Node {
             Report::Lost { reason, .. } => {
                 let message = format!("camera {id} is lost: {reason}");
                 self.devices.set_problem(camera, Some(message.clone()));
-                self.note("camera_lost", Some(id), &message);
+                self.note(EventKind::CameraLost, Some(id), message.as_str());
                 let fatal = match self.machine.phase() {
                     Phase::Preparing | Phase::Ready => true,
                     Phase::Holding | Phase::Running => self.config.on_camera_lost == OnLoss::Abort,
@@ -192,7 +179,7 @@ impl Node {
             RecorderEvent::RingFull { why } => {
                 let why = why.unwrap_or_else(|| "the disk could not keep up".to_owned());
                 let message = format!("{why} and the ring is full; the session was stopped, as configured");
-                self.note("ring_full", None, &message);
+                self.note(EventKind::RingFull, None, message.as_str());
                 self.take(Event::Failed(Fault::new(Exit::DataLoss, message)));
             }
             RecorderEvent::Doubtful { camera } => {
@@ -228,11 +215,8 @@ impl Node {
         let about = format!("place of {id}");
         let Some(why) = unknown else {
             session.notice(&about, None);
-            return self.note(
-                "place_found",
-                Some(id),
-                "which triggers its frames are of is known from here on",
-            );
+            let message = "which triggers its frames are of is known from here on";
+            return self.note(EventKind::PlaceFound, Some(id), message);
         };
         let message = format!("camera {id}: {why}");
         session.notice(&about, Some(message.clone()));

@@ -2,11 +2,13 @@
 //! The node's thread: carries out what the state machine says, and feeds it what happens.
 
 use super::devices::Devices;
+use super::event_kind::{self, EventKind};
 use super::session::Session;
 use super::state_machine::{Action, Event, Machine};
 use crate::acquire::preview::Taps;
 use crate::acquire::recorder::{RecorderCommand, RecorderOptions};
 use crate::base::ids::CameraId;
+use crate::base::time::host_time_ns;
 use crate::base::{Exit, Fault};
 use crate::camera::CameraBackend;
 use crate::config::NodeConfig;
@@ -16,7 +18,7 @@ use crate::control::status::{ExposureSet, NodeStatus, Outcome, SessionCommand};
 use crate::host::process_limits::ProcessMemory;
 use crate::host::{heap, realtime};
 use crate::hsu::{ArmRequest, Hsu, HsuError, SessionId, Slope};
-use crate::record::{NodeEvent, free_bytes};
+use crate::record::free_bytes;
 use crate::telemetry::{Current, Telemetry};
 use crossbeam_channel::{Receiver, Sender, bounded, never, select};
 use std::collections::VecDeque;
@@ -187,7 +189,7 @@ impl Node {
             self.origin += asleep;
             if self.machine.train_runs() {
                 let text = format!("the node's thread did not run for {:.1} s", asleep.as_secs_f64());
-                self.note("node_asleep", None, &text);
+                self.note(EventKind::NodeAsleep, None, text);
             }
         }
         self.take(Event::Tick);
@@ -427,17 +429,12 @@ impl Node {
         }
     }
 
-    pub(crate) fn note(&mut self, kind: &str, camera: Option<CameraId>, message: &str) {
-        tracing::warn!(kind, "{message}");
-        let Some(session) = &self.session else { return };
-        let event = NodeEvent {
-            host_time_ns: session.clock.now(),
-            kind: kind.to_owned(),
-            camera,
-            trigger: None,
-            message: message.to_owned(),
-        };
-        session.tell(RecorderCommand::Event(event));
+    /// Logs an event as a warning, and records it where there is a session.
+    pub(crate) fn note(&self, kind: EventKind, camera: Option<CameraId>, message: impl Into<String>) {
+        match &self.session {
+            Some(session) => session.warn(session.event(kind, camera, message)),
+            None => event_kind::warn(&kind.event(host_time_ns(), camera, message)),
+        }
     }
 
     fn publish(&mut self) {

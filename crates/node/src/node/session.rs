@@ -3,9 +3,11 @@
 
 use super::camera_keeper::{CameraKeeper, Report};
 use super::devices::PreparedCamera;
+use super::event_kind::{self, EventKind};
 use super::hsu_keeper::HsuKeeper;
 use super::silence::SilenceWatch;
 use crate::acquire::recorder::{Destination, Progress, RecorderCommand, RecorderEvent};
+use crate::base::ids::CameraId;
 use crate::base::time::HostClock;
 use crate::control::request::{KeepRequest, SessionRequest};
 use crate::control::status::{CameraProgress, Held, Outcome, SessionStatus};
@@ -99,6 +101,26 @@ impl Session {
         }
     }
 
+    /// An event of this session, now.
+    pub(crate) fn event(
+        &self,
+        kind: EventKind,
+        camera: Option<CameraId>,
+        text: impl Into<String>,
+    ) -> NodeEvent {
+        kind.event(self.clock.now(), camera, text)
+    }
+
+    pub(crate) fn record(&self, event: NodeEvent) {
+        self.tell(RecorderCommand::Event(event));
+    }
+
+    /// Logs an event as a warning, and records it.
+    pub(crate) fn warn(&self, event: NodeEvent) {
+        event_kind::warn(&event);
+        self.record(event);
+    }
+
     /// Lets whoever captures know at once; `None`: what was said about this does not hold any more.
     pub(crate) fn notice(&mut self, about: &str, text: Option<String>) {
         match text {
@@ -114,13 +136,9 @@ impl Session {
         }
         let warnings = realtime::warnings();
         for warning in warnings.iter().skip(self.warnings_told) {
-            self.tell(RecorderCommand::Event(NodeEvent {
-                host_time_ns: self.clock.now(),
-                kind: warning.kind.to_owned(),
-                camera: None,
-                trigger: None,
-                message: warning.message.clone(),
-            }));
+            let (kind, message) = (warning.kind.to_owned(), warning.message.clone());
+            let host_time_ns = self.clock.now();
+            self.record(NodeEvent { host_time_ns, kind, camera: None, trigger: None, message });
         }
         self.warnings_told = warnings.len();
     }

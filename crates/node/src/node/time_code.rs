@@ -2,6 +2,7 @@
 //! Asks the HSU during a session which time codes it heard, and makes events of those that are worth recording: the first
 //! of each run, one a second, and the last.
 
+use super::event_kind::EventKind;
 use crate::hsu::{HeardTimeCodes, Hsu, HsuError, Refusal, TIME_CODE_HISTORY};
 use crate::record::{HeardTimeCode, NodeEvent};
 use std::time::Duration;
@@ -98,10 +99,10 @@ impl TimeCodeKeeper {
         let Some(input) = self.input else { return events };
         let refused = self.no_good();
         if let Some(message) = self.absence() {
-            events.push(told(host_time_ns, "time_code_absent", message));
+            events.push(EventKind::TimeCodeAbsent.event(host_time_ns, None, message));
         } else if refused > 0 {
             let message = format!("{refused} frames of time code on input {input} were no good");
-            events.push(told(host_time_ns, "time_code_refused", message));
+            events.push(EventKind::TimeCodeRefused.event(host_time_ns, None, message));
         }
         events
     }
@@ -138,7 +139,7 @@ impl TimeCodeKeeper {
     }
 
     fn give_up(&mut self, why: String, host_time_ns: u64, events: &mut Vec<NodeEvent>) {
-        events.push(told(host_time_ns, "time_code_absent", why.clone()));
+        events.push(EventKind::TimeCodeAbsent.event(host_time_ns, None, why.clone()));
         (self.input, self.why_none) = (None, Some(why));
     }
 
@@ -170,13 +171,13 @@ impl TimeCodeKeeper {
             if answer.next < asked {
                 let message =
                     "the HSU counts time codes anew: it was restarted, and what came before is lost";
-                events.push(told(host_time_ns, "time_code_lost", message.to_owned()));
+                events.push(EventKind::TimeCodeLost.event(host_time_ns, None, message));
                 self.next = Some(0);
                 continue;
             }
             if answer.first > asked && !answer.codes.as_slice().is_empty() {
                 let message = format!("{} time codes came and were forgotten", answer.first - asked);
-                events.push(told(host_time_ns, "time_code_lost", message));
+                events.push(EventKind::TimeCodeLost.event(host_time_ns, None, message));
             }
             let mut next = asked;
             for (number, frame) in (answer.first..u64::MAX).zip(answer.codes.as_slice()) {
@@ -219,10 +220,6 @@ impl TimeCodeKeeper {
         events.push(last.event(host_time_ns));
         (self.is_told, self.told_ns) = (true, last.hsu_time_ns);
     }
-}
-
-fn told(host_time_ns: u64, kind: &str, message: String) -> NodeEvent {
-    NodeEvent { host_time_ns, kind: kind.to_owned(), camera: None, trigger: None, message }
 }
 
 #[cfg(test)]
