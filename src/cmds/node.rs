@@ -49,9 +49,8 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .enable_all()
         .build()
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the API's runtime: {e}")))?;
-    let usage = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, e);
-    let auth = Auth::new(&config.api).map_err(|e| usage(&format!("api.tokens: {e}")))?;
-    let listeners = runtime.block_on(Listeners::bind(&config.api)).map_err(|e| usage(&e))?;
+    let auth = Auth::new(&config.api)?;
+    let listeners = runtime.block_on(Listeners::bind(&config.api))?;
     // Before anything is recorded: a recording in progress looks the same.
     let mut unfinished = interrupted(&config.sessions_dir);
     unfinished.retain(|found| found.node == config.node);

@@ -4,6 +4,7 @@
 use crate::api_node::{ApiNode, listen, new_token, write_config};
 use crate::lab::{assert_contains, fourdbody, text_of};
 use fourdbody::api::limits;
+use fourdbody::capture::participant::Participant;
 use fourdbody::control::client::{Credentials, NodeClient};
 use std::io::Write;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};

@@ -8,11 +8,12 @@ use super::limits::{self, Buckets, Key};
 use super::logins::Logins;
 use super::refusal::Refusal;
 use super::transport::Link;
+use crate::base::Fault;
 use crate::config::ApiConfig;
 use crate::control::proof::{self, Asked};
 pub use crate::control::status::Via;
 use crate::control::status::path;
-use crate::control::tokens::{Role, TokenError, TokenList};
+use crate::control::tokens::{Role, TokenList};
 use axum::extract::{FromRequestParts, Request, State};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
@@ -84,16 +85,15 @@ fn stamp(path: &Path) -> Option<Stamp> {
 
 impl Auth {
     /// Reads the token file, if there is one.
-    pub fn new(config: &ApiConfig) -> Result<Self, TokenError> {
-        let tokens = match &config.tokens {
-            None => None,
-            Some(path) => {
-                let stamp = stamp(path);
-                let list = Arc::new(TokenList::load(path)?);
-                let known = Known { list, problem: None, looked: Instant::now(), stamp };
-                Some(Tokens { path: path.clone(), known: Mutex::new(known) })
-            }
+    pub fn new(config: &ApiConfig) -> Result<Self, Fault> {
+        let load = |path: &PathBuf| {
+            let stamp = stamp(path);
+            let list = TokenList::load(path)
+                .map_err(|fault| Fault { message: format!("api.tokens: {}", fault.message), ..fault })?;
+            let known = Known { list: Arc::new(list), problem: None, looked: Instant::now(), stamp };
+            Ok::<_, Fault>(Tokens { path: path.clone(), known: Mutex::new(known) })
         };
+        let tokens = config.tokens.as_ref().map(load).transpose()?;
         Ok(Self {
             tokens,
             logins: Logins::new(),
@@ -209,8 +209,8 @@ impl Tokens {
                     tracing::info!(tokens = list.0.len(), "the token file was read again");
                     (known.list, known.problem) = (Arc::new(list), None);
                 }
-                Err(error) => {
-                    let problem = format!("api.tokens: {error}; nobody gets in by a token");
+                Err(fault) => {
+                    let problem = format!("api.tokens: {}; every token is refused", fault.message);
                     if known.problem.as_ref() != Some(&problem) {
                         tracing::warn!("{problem}");
                     }

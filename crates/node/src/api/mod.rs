@@ -5,7 +5,7 @@
 //! they?), `audit` (write down what changes something) and reaches a route. Routes know nothing of all that: what is
 //! not a look needs the role `operate` and is audited, whatever it is. To add routes, write a module below `routes`
 //! with a function `routes() -> OpenApiRouter<Shared>` and merge it in [`api`]; what needs an administrator gets the
-//! layer [`auth::admin_only`]. Pages and their files (outside `/api/`) go into [`pages`]; they are open to everybody.
+//! layer [`auth::admin_only`]. Pages and their files (outside `/api/`) go into [`console`]; they are open to everybody.
 
 pub mod audit;
 pub mod auth;
@@ -28,7 +28,7 @@ pub use auth::{Auth, Caller};
 pub use body::Body;
 pub use refusal::Refusal;
 pub use services::Services;
-pub use transport::{Link, Listeners, TransportError};
+pub use transport::{Link, Listeners};
 
 use crate::base::{Exit, Fault};
 use crate::config::{NodeConfig, RigCamera};
@@ -167,36 +167,26 @@ impl Shared {
 /// All routes of the API with their description. Every one lies below `/api/`.
 fn api() -> OpenApiRouter<Shared> {
     OpenApiRouter::with_openapi(openapi::base())
-        .merge(routes::status::routes())
+        .merge(routes::node::routes())
         .merge(routes::session::routes())
-        .merge(routes::devices::routes())
-        .merge(routes::exposure::routes())
-        .merge(routes::health::routes())
-        .merge(routes::metrics::routes())
-        .merge(routes::captures::routes())
-        .merge(routes::live::routes())
-        .merge(routes::previews::routes())
+        .merge(routes::pictures::routes())
         .merge(routes::sessions::routes())
         .merge(routes::play::routes())
         .merge(routes::peers::routes())
         .merge(routes::login::routes())
-        .merge(routes::description::routes())
-}
-
-/// The console's page and what belongs to it: open to everybody, since it is what one logs in with.
-fn pages() -> Router<Shared> {
-    console::pages()
 }
 
 /// The API's description, as JSON for `/api/v1/openapi.json`.
 pub fn description() -> utoipa::openapi::OpenApi {
-    openapi::complete(api().into_openapi())
+    let mut described = api().into_openapi();
+    routes::peers::describe(&mut described);
+    openapi::complete(described)
 }
 
 /// Everything that the node answers, guarded.
 pub fn router(shared: Shared) -> Router {
     let (api, _) = api().split_for_parts();
-    api.merge(pages())
+    api.merge(console::pages())
         .fallback(async || {
             Refusal::new(StatusCode::NOT_FOUND, "there is nothing here; see /api/v1/openapi.json")
         })

@@ -24,6 +24,11 @@ impl Refusal {
         Self { status, fault: Fault::new(Exit::Usage, message), retry_after: None }
     }
 
+    /// There is nothing of this name here.
+    pub fn not_found(message: impl ToString) -> Self {
+        Self::new(StatusCode::NOT_FOUND, message)
+    }
+
     /// More connections than one caller, or all, may hold.
     pub fn too_many_connections() -> Self {
         let message = "too many connections of this caller, or of all; close some";

@@ -4,7 +4,7 @@
 use super::connections::{Connections, Standing};
 use super::limits::{self, Key};
 use super::patience::Patient;
-use crate::base::regular;
+use crate::base::{Exit, Fault, regular};
 use crate::config::{ApiConfig, SocketConfig, TlsConfig};
 use axum::Router;
 use axum::extract::Request;
@@ -55,30 +55,8 @@ impl Link {
     }
 }
 
-/// Why the node cannot be reached as configured.
-#[derive(Debug, thiserror::Error)]
-pub enum TransportError {
-    /// An address or a socket cannot be had.
-    #[error("cannot listen on {place} ({key}): {source}; is another node running?")]
-    Listen {
-        /// The configuration's key.
-        key: &'static str,
-        /// Where.
-        place: String,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The socket's path or group is not usable.
-    #[error("api.socket {path}: {problem}")]
-    Socket {
-        /// The path.
-        path: PathBuf,
-        /// What is wrong.
-        problem: String,
-    },
-    /// Certificate or key are not usable.
-    #[error("api.tls: {0}")]
-    Tls(String),
+fn usage(message: String) -> Fault {
+    Fault::new(Exit::Usage, message)
 }
 
 struct Socket {
@@ -112,12 +90,12 @@ const TOO_MANY: &[u8] =
 
 impl Listeners {
     /// Opens what the configuration says. Needs a runtime.
-    pub async fn bind(config: &ApiConfig) -> Result<Self, TransportError> {
+    pub async fn bind(config: &ApiConfig) -> Result<Self, Fault> {
         let tls = config.tls.as_ref().map(acceptor).transpose()?;
         let unix = config.socket.as_ref().map(bind_socket).transpose()?;
         let tcp = match config.listen {
-            Some(address) => Some(TcpListener::bind(address).await.map_err(|source| {
-                TransportError::Listen { key: "api.listen", place: address.to_string(), source }
+            Some(address) => Some(TcpListener::bind(address).await.map_err(|error| {
+                usage(format!("cannot listen on {address} (api.listen): {error}; is another node running?"))
             })?),
             None => None,
         };
@@ -273,9 +251,9 @@ async fn converse<S>(
 }
 
 /// Makes the socket under another name with its final mode, then puts it in its place: whoever can connect may.
-fn bind_socket(config: &SocketConfig) -> Result<Socket, TransportError> {
+fn bind_socket(config: &SocketConfig) -> Result<Socket, Fault> {
     let path = &config.path;
-    let failed = |problem: String| TransportError::Socket { path: path.clone(), problem };
+    let failed = |problem: String| usage(format!("api.socket {}: {problem}", path.display()));
     let io_failed = |what: &str| {
         let what = what.to_owned();
         move |e: io::Error| failed(format!("{what}: {e}"))
@@ -288,11 +266,8 @@ fn bind_socket(config: &SocketConfig) -> Result<Socket, TransportError> {
     match lock.try_lock() {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => {
-            return Err(TransportError::Listen {
-                key: "api.socket",
-                place: path.display().to_string(),
-                source: io::ErrorKind::AddrInUse.into(),
-            });
+            let place = path.display();
+            return Err(usage(format!("cannot listen on {place} (api.socket): another node uses it")));
         }
         Err(TryLockError::Error(error)) => return Err(failed(format!("its lock file: {error}"))),
     }
@@ -341,17 +316,16 @@ fn group_id(name: &str) -> Option<u32> {
     (failed == 0 && !found.is_null()).then_some(group.gr_gid)
 }
 
-fn acceptor(files: &TlsConfig) -> Result<TlsAcceptor, TransportError> {
-    let wrong = |path: &Path, error: &dyn std::fmt::Display| {
-        TransportError::Tls(format!("{}: {error}", path.display()))
-    };
+fn acceptor(files: &TlsConfig) -> Result<TlsAcceptor, Fault> {
+    let wrong =
+        |path: &Path, error: &dyn std::fmt::Display| usage(format!("api.tls: {}: {error}", path.display()));
     let text = regular::read(&files.certificate, regular::TEXT_BYTES);
     let text = text.map_err(|e| wrong(&files.certificate, &format!("expected certificates in PEM: {e}")))?;
     let certificates = CertificateDer::pem_slice_iter(&text)
         .collect::<Result<Vec<_>, _>>()
         .map_err(|e| wrong(&files.certificate, &format!("expected certificates in PEM: {e}")))?;
-    let key =
-        crate::control::tokens::read_private(&files.key).map_err(|e| TransportError::Tls(e.to_string()))?;
+    let key = crate::control::tokens::read_private(&files.key)
+        .map_err(|fault| usage(format!("api.tls: {}", fault.message)))?;
     let key = PrivateKeyDer::from_pem_slice(key.as_bytes())
         .map_err(|e| wrong(&files.key, &format!("expected a private key in PEM: {e}")))?;
     let provider = Arc::new(rustls::crypto::ring::default_provider());

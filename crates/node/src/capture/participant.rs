@@ -2,13 +2,15 @@
 //! A node as whoever runs a session sees it: over the API, or from inside the node that coordinates.
 
 use super::numbering;
+use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault};
-use crate::control::client::NodeClient;
+use crate::control::client::{NodeClient, TIMEOUT};
 use crate::control::command::{Command, Reply, SharedStatus};
 use crate::control::request::{KeepRequest, SessionRequest};
-use crate::control::status::{NodeStatus, SessionCommand};
+use crate::control::status::{FreeName, NodeStatus, SessionCommand, path};
 use crossbeam_channel::Sender;
 use std::sync::PoisonError;
+use std::time::Duration;
 use tokio::sync::oneshot;
 
 /// One node of a session.
@@ -33,6 +35,11 @@ pub trait Participant: Send + Sync {
     fn abort(&self, session_id: u64, reason: &str) -> Result<(), Fault>;
 }
 
+/// Longest time that a node may take to prepare: it waits for absent cameras, 2.5 s each.
+const PREPARE_TIMEOUT: Duration = Duration::from_secs(60);
+/// The same for a node that allocates memory for the seconds before Record.
+const PREPARE_TO_HOLD_TIMEOUT: Duration = Duration::from_secs(110);
+
 impl Participant for NodeClient {
     fn place(&self) -> String {
         self.url().to_owned()
@@ -47,27 +54,32 @@ impl Participant for NodeClient {
     }
 
     fn free_name(&self, wanted: &str) -> Result<String, Fault> {
-        Self::free_name(self, wanted)
+        // A name that leads elsewhere in the path is none of a session.
+        let wanted = SessionName::parse(wanted).map_err(|e| Fault::new(Exit::Usage, e))?;
+        let free: FreeName = self.get(&path::FREE_NAME.replace("{name}", wanted.as_str()))?;
+        Ok(free.name)
     }
 
     fn prepare(&self, request: &SessionRequest) -> Result<(), Fault> {
-        Self::prepare(self, request)
+        let patience = if request.pre_triggers > 0 { PREPARE_TO_HOLD_TIMEOUT } else { PREPARE_TIMEOUT };
+        self.post(path::PREPARE, request, patience)
     }
 
     fn start(&self, session_id: u64) -> Result<(), Fault> {
-        Self::start(self, session_id)
+        self.post(path::START, &SessionCommand { session_id, reason: None }, TIMEOUT)
     }
 
     fn keep(&self, request: &KeepRequest) -> Result<(), Fault> {
-        Self::keep(self, request)
+        self.post(path::KEEP, request, TIMEOUT)
     }
 
     fn stop(&self, session_id: u64) -> Result<(), Fault> {
-        Self::stop(self, session_id)
+        self.post(path::STOP, &SessionCommand { session_id, reason: None }, TIMEOUT)
     }
 
     fn abort(&self, session_id: u64, reason: &str) -> Result<(), Fault> {
-        Self::abort(self, session_id, reason)
+        let command = SessionCommand { session_id, reason: Some(reason.to_owned()) };
+        self.post(path::ABORT, &command, TIMEOUT)
     }
 }
 

@@ -2,10 +2,8 @@
 //! The API's client, blocking: what `capture`, `status` and `doctor` use. Over TCP, TLS or a Unix socket.
 
 use super::proof::{self, Asked};
-use super::request::{KeepRequest, SessionRequest};
-use super::status::{Challenge, FreeName, NodeStatus, SessionCommand, path};
+use super::status::{Challenge, NodeStatus, path};
 use super::tokens::{SecretHash, read_secret};
-use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault, json, regular};
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::Bytes;
@@ -58,10 +56,8 @@ impl fmt::Debug for NodeClient {
     }
 }
 
-/// Preparing waits for absent cameras, 2.5 s each.
-const PREPARE_TIMEOUT: Duration = Duration::from_secs(60);
-const PREPARE_TO_HOLD_TIMEOUT: Duration = Duration::from_secs(110);
-const TIMEOUT: Duration = Duration::from_secs(10);
+/// Longest time that an answer may take, unless the caller names another one.
+pub const TIMEOUT: Duration = Duration::from_secs(10);
 /// No answer of a node is longer.
 const ANSWER_BYTES_MAX: usize = 64 << 20;
 /// What Debian's `ca-certificates` makes.
@@ -95,7 +91,7 @@ impl NodeClient {
             client.tls = Some(tls_config(credentials.ca.as_deref()).map_err(usage)?);
         }
         if let Some(file) = &credentials.token_file {
-            let secret = read_secret(file).map_err(|e| usage(e.to_string()))?;
+            let secret = read_secret(file)?;
             authorization("Bearer ", &secret).map_err(|e| usage(format!("{}: {e}", file.display())))?;
             client.secret = Some(secret);
         }
@@ -124,42 +120,6 @@ impl NodeClient {
     /// The node's status.
     pub fn status(&self) -> Result<NodeStatus, Fault> {
         self.get(path::STATUS)
-    }
-
-    /// The first name from this one on under which nothing is recorded there.
-    pub fn free_name(&self, wanted: &str) -> Result<String, Fault> {
-        // A name that leads elsewhere in the path is none of a session.
-        let wanted = SessionName::parse(wanted).map_err(|e| Fault::new(Exit::Usage, e))?;
-        let free: FreeName = self.get(&path::FREE_NAME.replace("{name}", wanted.as_str()))?;
-        Ok(free.name)
-    }
-
-    /// Prepares a session and waits until the node is ready.
-    pub fn prepare(&self, request: &SessionRequest) -> Result<(), Fault> {
-        // Memory for seconds before Record is touched, page by page.
-        let patience = if request.pre_triggers > 0 { PREPARE_TO_HOLD_TIMEOUT } else { PREPARE_TIMEOUT };
-        self.post(path::PREPARE, request, patience)
-    }
-
-    /// Starts the train.
-    pub fn start(&self, session_id: u64) -> Result<(), Fault> {
-        self.post(path::START, &SessionCommand { session_id, reason: None }, TIMEOUT)
-    }
-
-    /// Records what is held, from a trigger on.
-    pub fn keep(&self, request: &KeepRequest) -> Result<(), Fault> {
-        self.post(path::KEEP, request, TIMEOUT)
-    }
-
-    /// Ends the train after the current trigger.
-    pub fn stop(&self, session_id: u64) -> Result<(), Fault> {
-        self.post(path::STOP, &SessionCommand { session_id, reason: None }, TIMEOUT)
-    }
-
-    /// Gives the session up.
-    pub fn abort(&self, session_id: u64, reason: &str) -> Result<(), Fault> {
-        let command = SessionCommand { session_id, reason: Some(reason.to_owned()) };
-        self.post(path::ABORT, &command, TIMEOUT)
     }
 
     /// Asks for JSON.

@@ -508,42 +508,24 @@ pub mod path {
     pub const QUICK_LOOK_CLOUD: &str = "/api/v1/sessions/{name}/quick-look/{trigger}";
     /// GET [`super::PlayableTakes`]: what the worker has reconstructed.
     pub const PLAYABLE: &str = "/api/v1/playable";
-    /// GET: the same of another node's worker.
-    pub const PEER_PLAYABLE: &str = "/api/v1/peers/{peer}/playable";
     /// GET [`crate::play::Described`]: what a player must know.
     pub const FRAME_SETS: &str = "/api/v1/sessions/{name}/frame-sets";
-    /// GET: the same from another node.
-    pub const PEER_FRAME_SETS: &str = "/api/v1/peers/{peer}/sessions/{name}/frame-sets";
     /// GET: packed points.
     pub const FRAME_SET: &str = "/api/v1/sessions/{name}/frame-sets/{trigger}";
-    /// GET: the same from another node.
-    pub const PEER_FRAME_SET: &str = "/api/v1/peers/{peer}/sessions/{name}/frame-sets/{trigger}";
     /// GET: what the worker found of the calibration.
     pub const CALIBRATION_LIGHTS: &str = "/api/v1/calibration-lights";
-    /// GET: the same of another node's worker.
-    pub const PEER_CALIBRATION_LIGHTS: &str = "/api/v1/peers/{peer}/calibration-lights";
     /// GET: the plot of the worker's history.
     pub const CALIBRATION_PLOT: &str = "/api/v1/calibration-lights/plot";
-    /// GET: the same of another node's worker.
-    pub const PEER_CALIBRATION_PLOT: &str = "/api/v1/peers/{peer}/calibration-lights/plot";
     /// POST: exposure and gain of heads.
     pub const EXPOSURE: &str = "/api/v1/exposure";
     /// POST: the same at another node.
     pub const PEER_EXPOSURE: &str = "/api/v1/peers/{peer}/exposure";
     /// GET: the other nodes.
     pub const PEERS: &str = "/api/v1/peers";
-    /// GET: pictures of another node's cameras.
-    pub const PEER_PREVIEWS: &str = "/api/v1/peers/{peer}/previews";
-    /// GET: a PNG.
-    pub const PEER_PICTURE: &str = "/api/v1/peers/{peer}/previews/{camera}";
-    /// GET: what another node has recorded.
-    pub const PEER_SESSIONS: &str = "/api/v1/peers/{peer}/sessions";
     /// POST [`crate::record::remark::Remark`]: the same for another node's recording.
     pub const PEER_REMARK: &str = "/api/v1/peers/{peer}/sessions/{name}/remark";
     /// GET: how far another node's look is; POST: asks it for one.
     pub const PEER_QUICK_LOOK: &str = "/api/v1/peers/{peer}/sessions/{name}/quick-look";
-    /// GET: points.
-    pub const PEER_QUICK_LOOK_CLOUD: &str = "/api/v1/peers/{peer}/sessions/{name}/quick-look/{trigger}";
     /// GET: [`super::NodeStatus`].
     pub const STATUS: &str = "/api/v1/status";
     /// POST [`crate::control::request::SessionRequest`]: answers when the node is ready, or why it is not.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sessions that the worker of this node's machine has reconstructed, frame set by frame set, for a player.
 
+use super::bytes;
 use crate::api::Shared;
 use crate::api::refusal::Refusal;
 use crate::base::{Exit, Fault};
@@ -9,8 +10,7 @@ use crate::play::Described;
 use crate::play::desk::{Made, Wanted};
 use axum::Json;
 use axum::extract::{Path, State};
-use axum::http::{StatusCode, header};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use tokio::sync::oneshot;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -63,15 +63,13 @@ async fn get_frame_set(
 
 async fn made(shared: &Shared, name: &str, wanted: Wanted, kind: &'static str) -> Result<Response, Refusal> {
     // Of what the worker has done alone: no name that is asked for becomes a path.
-    let done = shared.services.worker.done(name).ok_or_else(|| {
-        let message = format!("no session {name:?} that a worker of this machine has reconstructed");
-        Refusal::new(StatusCode::NOT_FOUND, message)
-    })?;
+    let unknown =
+        || Refusal::not_found(format!("no session {name:?} that a worker of this machine has reconstructed"));
+    let done = shared.services.worker.done(name).ok_or_else(unknown)?;
     let (reply, answer) = oneshot::channel();
     shared.services.desk.ask(done, wanted, reply)?;
-    let gone = |_| Refusal::from(Fault::new(Exit::Device, "the node is shutting down"));
-    match answer.await.map_err(gone)?? {
-        Made::Bytes(bytes) => Ok(([(header::CONTENT_TYPE, kind)], bytes.as_ref().clone()).into_response()),
-        Made::Nothing(reason) => Err(Refusal::new(StatusCode::NOT_FOUND, reason)),
+    match answer.await.map_err(|_| Fault::new(Exit::Device, "the node is shutting down"))?? {
+        Made::Bytes(made) => Ok(bytes(kind, made.as_ref().clone())),
+        Made::Nothing(reason) => Err(Refusal::not_found(reason)),
     }
 }
