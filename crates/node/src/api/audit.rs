@@ -6,7 +6,7 @@
 //! that cannot be stopped is worse than a line that is missing.
 
 use super::Shared;
-use super::auth::{Caller, only_looks};
+use super::auth::{Caller, only_looks, what_of};
 use super::guard::Sent;
 use super::limits::{Buckets, Key, Rate};
 use super::refusal::Refusal;
@@ -17,7 +17,7 @@ use crate::control::request::Phase;
 use crate::control::status::{SessionStatus, Via, path};
 use crate::control::tokens::Role;
 use axum::extract::{Request, State};
-use axum::http::{Method, StatusCode};
+use axum::http::StatusCode;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -43,7 +43,7 @@ const FILES_KEPT: usize = 9;
 const REFUSAL_LINES: Rate = Rate { per_second: 0.2, burst: 20.0 };
 
 /// One line.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditLine {
     /// When, CLOCK_REALTIME (UTC), ns since 1970.
     pub host_time_ns: u64,
@@ -54,7 +54,7 @@ pub struct AuditLine {
     /// Their role, once they showed who they are.
     pub role: Option<Role>,
     /// How they showed it: `socket`, `token`, `cookie` or `nothing`.
-    pub via: Option<String>,
+    pub via: Option<Via>,
     /// From where: an address, or `uid N` of the Unix socket.
     pub from: String,
     /// What was asked for, such as `POST /api/v1/session/start`.
@@ -125,14 +125,7 @@ impl Audit {
     }
 
     /// Notes a refusal; every one counts, some get a line.
-    pub(super) fn refused(
-        &self,
-        link: &Link,
-        caller: Option<&Caller>,
-        method: &Method,
-        wanted: &str,
-        status: StatusCode,
-    ) {
+    pub(super) fn refused(&self, link: &Link, caller: Option<&Caller>, what: &str, status: StatusCode) {
         // One bucket for all: whoever floods it must not fill the disk from many addresses.
         if self.refusals.take(Key::User(0), Instant::now()).is_err() {
             self.unlisted.fetch_add(1, Ordering::Relaxed);
@@ -140,29 +133,16 @@ impl Audit {
         }
         let from = from_text(link);
         let who = caller.map_or(from.as_str(), |caller| caller.name.as_str());
-        let wanted: String = wanted.chars().take(100).collect();
-        let mut line = self.line(who, &from, format!("{method} {wanted}"));
+        let mut line = self.line(who, &from, what.chars().take(100).collect());
         line.role = caller.map(|caller| caller.role);
         line.status = status.as_u16();
         self.send(line, None);
     }
 
     fn line(&self, who: &str, from: &str, what: String) -> AuditLine {
-        AuditLine {
-            host_time_ns: host_time_ns(),
-            node: self.node.clone(),
-            who: who.to_owned(),
-            role: None,
-            via: None,
-            from: from.to_owned(),
-            what,
-            request: None,
-            session_id: None,
-            session: None,
-            trigger: None,
-            status: 0,
-            unlisted: self.unlisted.swap(0, Ordering::Relaxed),
-        }
+        let unlisted = self.unlisted.swap(0, Ordering::Relaxed);
+        let (node, who, from) = (self.node.clone(), who.to_owned(), from.to_owned());
+        AuditLine { host_time_ns: host_time_ns(), node, who, from, what, unlisted, ..AuditLine::default() }
     }
 
     fn send(&self, line: AuditLine, done: Option<oneshot::Sender<()>>) -> bool {
@@ -194,10 +174,6 @@ fn from_text(link: &Link) -> String {
     }
 }
 
-fn via_text(via: Via) -> Option<String> {
-    serde_json::to_value(via).ok()?.as_str().map(ToOwned::to_owned)
-}
-
 /// Writes a line for every request that is more than a look, once it is answered.
 pub(super) async fn audited(State(shared): State<Shared>, request: Request, next: Next) -> Response {
     let Some(link) = request.extensions().get::<Link>().copied() else { return next.run(request).await };
@@ -205,7 +181,7 @@ pub(super) async fn audited(State(shared): State<Shared>, request: Request, next
         return next.run(request).await;
     }
     let caller = request.extensions().get::<Caller>().cloned();
-    let what = format!("{} {}", request.method(), request.uri().path());
+    let what = what_of(&request);
     let secret = request.uri().path() == path::LOGIN;
     let sent = request.extensions().get::<Sent>().filter(|_| !secret).cloned();
     // On a task of its own: a client that goes away while it waits takes neither the request nor its line along.
@@ -233,11 +209,11 @@ async fn write_down(
     let from = from_text(link);
     if caller.is_none() {
         // A login that failed is a refusal.
-        shared.audit.refused(link, None, &Method::POST, path::LOGIN, status);
+        shared.audit.refused(link, None, &what, status);
         return;
     }
     let mut line = shared.audit.line(caller.as_ref().map_or(&from, |caller| &caller.name), &from, what);
-    (line.role, line.via) = caller.map_or((None, None), |caller| (Some(caller.role), via_text(caller.via)));
+    (line.role, line.via) = caller.map_or((None, None), |caller| (Some(caller.role), Some(caller.via)));
     line.status = status.as_u16();
     line.request = sent.and_then(|sent| serde_json::from_slice(&sent.0).ok());
     let node = shared.status();
@@ -304,17 +280,14 @@ impl Log {
     }
 
     fn open_file(&mut self) -> io::Result<&mut (File, u64)> {
-        match &mut self.open {
-            Some(_) => {}
-            none => {
-                if let Some(dir) = self.path.parent() {
-                    // As recordings make it: they are nobody else's business either.
-                    std::fs::DirBuilder::new().recursive(true).mode(0o750).create(dir)?;
-                }
-                let file = regular::append(&self.path, 0o640)?;
-                let size = file.metadata()?.len();
-                *none = Some((file, size));
+        if self.open.is_none() {
+            if let Some(dir) = self.path.parent() {
+                // With the mode of the recordings' directories.
+                std::fs::DirBuilder::new().recursive(true).mode(0o750).create(dir)?;
             }
+            let file = regular::append(&self.path, 0o640)?;
+            let size = file.metadata()?.len();
+            self.open = Some((file, size));
         }
         self.open.as_mut().ok_or_else(|| io::Error::other("not open"))
     }

@@ -239,7 +239,12 @@ fn unauthenticated() -> Refusal {
     Refusal::new(StatusCode::UNAUTHORIZED, message)
 }
 
-/// Whether a request only looks.
+/// Method and path of a request, for the audit log.
+pub(super) fn what_of(request: &Request) -> String {
+    format!("{} {}", request.method(), request.uri().path())
+}
+
+/// Whether a request only reads.
 pub(super) fn only_looks(method: &Method) -> bool {
     matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS)
 }
@@ -250,8 +255,7 @@ fn is_open(request: &Request) -> bool {
     wanted == path::LOGIN || (!wanted.starts_with("/api/") && only_looks(request.method()))
 }
 
-/// Every request passes through here: looking takes [`Role::View`], everything else [`Role::Operate`], unless a
-/// route asks for more by [`admin_only`].
+/// Every request passes through here: reading takes [`Role::View`], everything else [`Role::Operate`].
 pub(super) async fn authenticate(State(shared): State<Shared>, mut request: Request, next: Next) -> Response {
     let Some(link) = request.extensions().get::<Link>().copied() else {
         return unauthenticated().into_response();
@@ -267,7 +271,7 @@ pub(super) async fn authenticate(State(shared): State<Shared>, mut request: Requ
         };
     }
     let Some((caller, answer)) = shared.auth.identify(&link, &request, &shared.cookie) else {
-        shared.audit.refused(&link, None, request.method(), request.uri().path(), StatusCode::UNAUTHORIZED);
+        shared.audit.refused(&link, None, &what_of(&request), StatusCode::UNAUTHORIZED);
         return shared.auth.refused(&link).into_response();
     };
     if let Err(wait) = shared.auth.requests.take(caller.key.clone(), Instant::now()) {
@@ -279,13 +283,7 @@ pub(super) async fn authenticate(State(shared): State<Shared>, mut request: Requ
     }
     let needed = if only_looks(request.method()) { Role::View } else { Role::Operate };
     if !caller.role.may(needed) && request.uri().path() != path::LOGOUT {
-        shared.audit.refused(
-            &link,
-            Some(&caller),
-            request.method(),
-            request.uri().path(),
-            StatusCode::FORBIDDEN,
-        );
+        shared.audit.refused(&link, Some(&caller), &what_of(&request), StatusCode::FORBIDDEN);
         return forbidden(&caller, needed).into_response();
     }
     request.extensions_mut().insert(caller);
@@ -294,15 +292,6 @@ pub(super) async fn authenticate(State(shared): State<Shared>, mut request: Requ
         response.headers_mut().insert(proof::HEADER, answer);
     }
     response
-}
-
-/// A layer of routes that only an administrator may use.
-pub async fn admin_only(caller: Caller, request: Request, next: Next) -> Response {
-    if caller.role.may(Role::Admin) {
-        next.run(request).await
-    } else {
-        forbidden(&caller, Role::Admin).into_response()
-    }
 }
 
 fn forbidden(caller: &Caller, needed: Role) -> Refusal {

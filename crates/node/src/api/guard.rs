@@ -2,7 +2,7 @@
 //! What every request must be before anybody looks at who sent it: for this node (DNS rebinding), from one of its own
 //! pages or from no page at all (CSRF), small, and sent in one go.
 
-use super::auth::{cookie_of, only_looks};
+use super::auth::{cookie_of, only_looks, what_of};
 use super::refusal::Refusal;
 use super::transport::Link;
 use super::{Shared, limits};
@@ -115,7 +115,7 @@ async fn admit(shared: &Shared, request: Request) -> Result<Request, Refusal> {
     let checked =
         check_host(&shared.names, &link, &request).and_then(|()| check_origin(shared, &link, &request));
     checked.inspect_err(|refusal| {
-        shared.audit.refused(&link, None, request.method(), request.uri().path(), refusal.status);
+        shared.audit.refused(&link, None, &what_of(&request), refusal.status);
     })?;
     if only_looks(request.method()) {
         return Ok(request);
@@ -199,14 +199,8 @@ async fn read_body(headers: &HeaderMap, body: Body) -> Result<Bytes, Refusal> {
 }
 
 fn is_limit(error: &axum::Error) -> bool {
-    let mut cause: Option<&dyn std::error::Error> = Some(error);
-    while let Some(error) = cause {
-        if error.is::<http_body_util::LengthLimitError>() {
-            return true;
-        }
-        cause = error.source();
-    }
-    false
+    let mut causes = std::iter::successors(Some(error as &dyn std::error::Error), |error| error.source());
+    causes.any(|error| error.is::<http_body_util::LengthLimitError>())
 }
 
 #[cfg(test)]

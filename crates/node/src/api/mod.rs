@@ -4,8 +4,7 @@
 //! A request passes [`guard`] (is it for this node, from no foreign page, small, complete?), `auth` (who is it, may
 //! they?), `audit` (write down what changes something) and reaches a route. Routes know nothing of all that: what is
 //! not a look needs the role `operate` and is audited, whatever it is. To add routes, write a module below `routes`
-//! with a function `routes() -> OpenApiRouter<Shared>` and merge it in [`api`]; what needs an administrator gets the
-//! layer [`auth::admin_only`]. Pages and their files (outside `/api/`) go into [`console`]; they are open to everybody.
+//! with a function `routes() -> OpenApiRouter<Shared>` and merge it in [`api`]. Pages and their files (outside `/api/`) go into [`console`]; they are open to everybody.
 
 pub mod audit;
 pub mod auth;
@@ -41,7 +40,6 @@ use axum::http::StatusCode;
 use axum::middleware::from_fn_with_state;
 use crossbeam_channel::{Sender, TrySendError};
 use guard::Names;
-use std::ops::Deref;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use tokio::sync::oneshot;
@@ -80,18 +78,9 @@ pub struct State {
 }
 
 /// [`State`], for handlers.
-#[derive(Clone)]
-pub struct Shared(Arc<State>);
+pub type Shared = Arc<State>;
 
-impl Deref for Shared {
-    type Target = State;
-
-    fn deref(&self) -> &State {
-        &self.0
-    }
-}
-
-impl Shared {
+impl State {
     /// For a node that is reached through `listeners`. Refuses tokens that cannot be read.
     pub fn new(
         config: NodeConfig,
@@ -99,14 +88,14 @@ impl Shared {
         auth: Auth,
         services: Services,
         listeners: &Listeners,
-    ) -> std::io::Result<Self> {
+    ) -> std::io::Result<Shared> {
         let audit = Audit::start(&config.api.audit, config.node.as_str())?;
         let names = Names::new(&config.api);
         // Cookies know no ports: two nodes on one machine must not overwrite each other's.
         let plain: String = config.node.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
         let cookie = format!("fourdbody_{plain}");
         let transport_warnings = listeners.warnings().to_vec();
-        Ok(Self(Arc::new(State { node, config, auth, audit, services, names, cookie, transport_warnings })))
+        Ok(Arc::new(Self { node, config, auth, audit, services, names, cookie, transport_warnings }))
     }
 
     /// The status as last published, with the API's own warnings.
@@ -146,21 +135,19 @@ impl Shared {
     /// Has the node carry a command out; returns when it has, or why it has not.
     pub async fn ask<T>(&self, command: impl FnOnce(Reply<T>) -> Command) -> Result<T, Refusal> {
         let (reply, answer) = oneshot::channel();
-        let busy = |message: &str| Refusal {
+        self.node.commands.try_send(command(reply)).map_err(|error| Refusal {
             status: StatusCode::SERVICE_UNAVAILABLE,
-            fault: Fault::new(Exit::Failure, message),
+            fault: Fault::new(
+                Exit::Failure,
+                match error {
+                    TrySendError::Full(_) => "the node is busy with other commands; try again",
+                    TrySendError::Disconnected(_) => "the node is shutting down",
+                },
+            ),
             retry_after: None,
-        };
-        match self.node.commands.try_send(command(reply)) {
-            Ok(()) => match answer.await {
-                Ok(answer) => answer.map_err(Refusal::from),
-                Err(_) => {
-                    Err(Fault::new(Exit::Failure, "the node dropped the command; look into its log").into())
-                }
-            },
-            Err(TrySendError::Full(_)) => Err(busy("the node is busy with other commands; try again")),
-            Err(TrySendError::Disconnected(_)) => Err(busy("the node is shutting down")),
-        }
+        })?;
+        let dropped = |_| Fault::new(Exit::Failure, "the node dropped the command; see its log");
+        Ok(answer.await.map_err(dropped)??)
     }
 }
 

@@ -15,7 +15,7 @@ use crate::control::command::{Command, SharedStatus};
 use crate::live::LiveBody;
 use crate::play::desk::Desk;
 use crate::preview::Previews;
-use crate::preview::quick_look::{QuickLooks, Settings};
+use crate::preview::quick_look::QuickLooks;
 use crate::worker::watch::WorkerWatch;
 use crossbeam_channel::Sender;
 use std::sync::Arc;
@@ -82,11 +82,6 @@ impl Services {
             true => None,
             false => Some(PeerWatch::start(watched, here).map_err(thread)?),
         };
-        let quick_look = config.quick_look.as_ref().map(|quick_look| Settings {
-            calibration: quick_look.calibration.clone(),
-            sets: quick_look.frame_sets,
-            work_dir: config.sessions_dir.join(".quick-look"),
-        });
         // What a peer calls another node's camera is none of its own, whatever api.peers call the peer.
         let cameras_of = |node: &NodeId| {
             let cameras = config.rig.cameras_of(node).filter(|_| *node != config.node);
@@ -103,7 +98,7 @@ impl Services {
             previews: Previews::start(previews).map_err(thread)?,
             listing: Listing::start(config.sessions_dir.clone(), config.node.clone()).map_err(thread)?,
             desk: Desk::start(Arc::clone(&status), config.rig.trigger_rate_hz).map_err(thread)?,
-            quick_looks: QuickLooks::start(quick_look, status).map_err(thread)?,
+            quick_looks: QuickLooks::start(config.quick_look.clone(), status).map_err(thread)?,
             peers,
             worker: WorkerWatch::start(config.worker_results.clone()).map_err(thread)?,
             _watch: watch,

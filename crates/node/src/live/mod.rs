@@ -18,6 +18,7 @@ use crate::control::client::NodeClient;
 use crate::control::status::path;
 use crate::data::Calibration;
 use crate::host::realtime;
+use crate::preview::Interest;
 use crate::reconstruct::Reconstructor;
 use body::Body;
 use kept::{Kept, Places};
@@ -25,12 +26,10 @@ use rows::Rows;
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Whoever has not asked for so long does not look any more.
-const INTEREST: Duration = Duration::from_secs(2);
 /// How often threads look for what is new.
 const POLL: Duration = Duration::from_millis(4);
 /// Without interest.
@@ -86,9 +85,8 @@ struct Shared {
     calibration: Option<PathBuf>,
     peers: Vec<Peer>,
     origin: Instant,
-    /// When this node's rows were last wanted, and when its body was, ms after `origin`, plus one; 0: never.
-    rows_asked: AtomicU64,
-    body_asked: AtomicU64,
+    rows_requested: Interest,
+    body_requested: Interest,
     kept: Mutex<Kept>,
     shown: Mutex<Option<Arc<Shown>>>,
     problem: Mutex<Option<String>>,
@@ -103,31 +101,29 @@ impl LiveBody {
         calibration: Option<PathBuf>,
         peers: Vec<Peer>,
     ) -> std::io::Result<Self> {
-        let has_calibration = calibration.is_some();
         let kept = Kept::new(taps.cameras().count(), trigger_rate_hz);
         let shared = Arc::new(Shared {
             taps,
             calibration,
             peers,
             origin: Instant::now(),
-            rows_asked: AtomicU64::new(0),
-            body_asked: AtomicU64::new(0),
+            rows_requested: Interest::default(),
+            body_requested: Interest::default(),
             kept: Mutex::new(kept),
             shown: Mutex::default(),
             problem: Mutex::default(),
             ended: AtomicBool::new(false),
         });
-        let sampling = Arc::clone(&shared);
-        std::thread::Builder::new().name("live-rows".to_owned()).spawn(move || {
-            realtime::step_back();
-            sampling.sample();
-        })?;
-        if has_calibration {
-            let reconstructing = Arc::clone(&shared);
-            std::thread::Builder::new().name("live-body".to_owned()).spawn(move || {
+        let start = |name: &str, work: fn(&Shared)| {
+            let shared = Arc::clone(&shared);
+            std::thread::Builder::new().name(name.to_owned()).spawn(move || {
                 realtime::step_back();
-                reconstructing.reconstruct();
-            })?;
+                work(&shared);
+            })
+        };
+        start("live-rows", Shared::sample)?;
+        if shared.calibration.is_some() {
+            start("live-body", Shared::reconstruct)?;
         }
         Ok(Self { shared })
     }
@@ -144,8 +140,8 @@ impl LiveBody {
             let message = "no calibration is configured; set quick_look.calibration in the node file";
             return Err(message.to_owned());
         }
-        self.shared.note(&self.shared.rows_asked);
-        self.shared.note(&self.shared.body_asked);
+        self.shared.rows_requested.note();
+        self.shared.body_requested.note();
         if let Some(problem) = lock(&self.shared.problem).clone() {
             return Err(problem);
         }
@@ -154,7 +150,7 @@ impl LiveBody {
 
     /// The rows of this node's cameras of a trigger, and the wish for the next ones; `None` while none is there.
     pub fn rows(&self, trigger: u64) -> Option<Vec<u8>> {
-        self.shared.note(&self.shared.rows_asked);
+        self.shared.rows_requested.note();
         let places = lock(&self.shared.kept).settled(trigger, self.shared.now_ns())?;
         let ids: Vec<&CameraId> = self.shared.taps.cameras().collect();
         Some(rows::encode(trigger, places.iter().map(|(place, sample)| (ids[*place], sample.as_ref()))))
@@ -171,16 +167,6 @@ impl Shared {
         self.origin.elapsed().as_nanos() as u64
     }
 
-    fn note(&self, asked: &AtomicU64) {
-        asked.store(self.origin.elapsed().as_millis() as u64 + 1, Ordering::Release);
-    }
-
-    fn is_wanted(&self, asked: &AtomicU64) -> bool {
-        let at = asked.load(Ordering::Acquire);
-        let now = self.origin.elapsed().as_millis() as u64 + 1;
-        at != 0 && now.saturating_sub(at) < INTEREST.as_millis() as u64
-    }
-
     /// Rows by the names of their cameras.
     fn named(&self, places: &Places) -> Rows {
         let ids: Vec<&CameraId> = self.taps.cameras().collect();
@@ -190,7 +176,7 @@ impl Shared {
     fn sample(&self) {
         let cameras = self.taps.cameras().count();
         while !self.ended.load(Ordering::Acquire) {
-            if !self.is_wanted(&self.rows_asked) {
+            if !self.rows_requested.is_fresh() {
                 lock(&self.kept).forget_wishes();
                 std::thread::sleep(REST);
                 continue;
@@ -226,7 +212,7 @@ impl Shared {
         let (mut last, mut number) = (None, 0);
         let mut done: VecDeque<Instant> = VecDeque::new();
         while !self.ended.load(Ordering::Acquire) {
-            if !self.is_wanted(&self.body_asked) {
+            if !self.body_requested.is_fresh() {
                 (last, reconstructor) = (None, None);
                 std::thread::sleep(REST);
                 continue;

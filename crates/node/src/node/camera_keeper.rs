@@ -17,35 +17,24 @@ use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// What an attendant tells the node.
+/// What a camera's attendant, or the keeper of the HSU's link, reports to the node.
 #[derive(Debug)]
 pub enum Report {
-    /// The camera does not answer any more.
-    Lost {
-        /// Its place in the node's list.
-        camera: usize,
-        /// What was seen.
-        reason: String,
-    },
-    /// Another program controls it.
-    Owned {
-        /// Its place in the node's list.
-        camera: usize,
-        /// Who.
-        reason: String,
-    },
+    /// The state of the camera at this place of the node's list has changed.
+    Camera(usize, CameraReport),
+    /// Something that the operator must know at once, with its subject; `None`: it does not hold any more.
+    Notice(&'static str, Option<String>),
+}
+
+/// What has happened to a camera.
+#[derive(Debug)]
+pub enum CameraReport {
+    /// It stopped answering, with the reason that was seen.
+    Lost(String),
+    /// Another program controls it, with that program's address.
+    Owned(String),
     /// It sends again, with the same settings.
-    Back {
-        /// Its place in the node's list.
-        camera: usize,
-    },
-    /// Whoever captures must know; not from a camera's attendant, but from the link's.
-    Notice {
-        /// What it is about.
-        about: &'static str,
-        /// `None`: it does not hold any more.
-        text: Option<String>,
-    },
+    Back,
 }
 
 /// What the node tells an attendant.
@@ -247,7 +236,7 @@ impl Work {
         self.holder = None;
         let reason = error.to_string();
         drop(self.setup.to_recorder.send(RecorderCommand::CameraLost(camera, cause)));
-        drop(self.setup.reports.send(Report::Lost { camera, reason }));
+        self.report(CameraReport::Lost(reason));
         let counters = receiver.stop();
         self.note(EventKind::StreamCounters, counters_text(&counters));
         // A handle that has lost its camera is of no more use: it must be opened anew.
@@ -257,13 +246,12 @@ impl Work {
     fn bring_back(&mut self) {
         match self.reopen() {
             Ok(()) => {
-                let camera = self.setup.receiver.camera;
                 let text = format!(
                     "{} settings set and read back, fresh stream of {} buffers",
                     self.set, self.setup.blocks
                 );
                 self.note(EventKind::CameraBack, text);
-                drop(self.setup.reports.send(Report::Back { camera }));
+                self.report(CameraReport::Back);
             }
             Err(reason) => {
                 self.setup.camera.camera = None;
@@ -284,7 +272,7 @@ impl Work {
         self.holder = Some(holder);
         drop(self.setup.to_recorder.send(RecorderCommand::CameraAway(camera, GapCause::ControlLost)));
         self.note(EventKind::CameraOwned, reason.to_owned());
-        drop(self.setup.reports.send(Report::Owned { camera, reason: reason.to_owned() }));
+        self.report(CameraReport::Owned(reason.to_owned()));
     }
 
     /// Opens the camera, verifies it, and starts a fresh stream.
@@ -352,6 +340,10 @@ impl Work {
         {
             tracing::warn!(camera = %self.setup.camera.config.id, "{error}");
         }
+    }
+
+    fn report(&self, report: CameraReport) {
+        drop(self.setup.reports.send(Report::Camera(self.setup.receiver.camera, report)));
     }
 
     fn note(&self, kind: EventKind, message: String) {

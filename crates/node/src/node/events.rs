@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What happens to a session while it runs: the HSU's reports, lost and returning devices, the recorder's word.
 
-use super::camera_keeper::Report;
+use super::camera_keeper::{CameraReport, Report};
 use super::event_kind::EventKind;
 use super::node_thread::{Node, hsu_session};
 use super::silence::{Notice, SILENT_TRIGGERS};
@@ -134,12 +134,12 @@ impl Node {
         }
     }
 
-    /// An attendant lost its camera, or has it back; or there is something that whoever captures must know.
+    /// An attendant lost its camera, or has it back; or there is something that the operator must know.
     pub(crate) fn attendant_reports(&mut self, report: Report) {
         let Some(session) = &mut self.session else { return };
-        let camera = match report {
-            Report::Lost { camera, .. } | Report::Owned { camera, .. } | Report::Back { camera } => camera,
-            Report::Notice { about, text } => {
+        let (camera, report) = match report {
+            Report::Camera(camera, report) => (camera, report),
+            Report::Notice(about, text) => {
                 if let Some(text) = &text {
                     tracing::warn!(about, "{text}");
                 }
@@ -147,8 +147,8 @@ impl Node {
             }
         };
         let Some(id) = session.cameras.get(camera).map(|camera| camera.id.clone()) else { return };
-        match report {
-            Report::Lost { reason, .. } => {
+        let problem = match report {
+            CameraReport::Lost(reason) => {
                 let message = format!("camera {id} is lost: {reason}");
                 self.devices.set_problem(camera, Some(message.clone()));
                 self.note(EventKind::CameraLost, Some(id), message.as_str());
@@ -160,17 +160,13 @@ impl Node {
                 if fatal {
                     self.take(Event::Failed(Fault::new(Exit::Device, message)));
                 }
+                return;
             }
-            Report::Owned { reason, .. } => {
-                tracing::warn!(camera = %id, "{reason}");
-                self.devices.set_problem(camera, Some(format!("camera {id}: {reason}")));
-            }
-            Report::Back { .. } => {
-                tracing::warn!(camera = %id, "the camera is back");
-                self.devices.set_problem(camera, None);
-            }
-            Report::Notice { .. } => {}
-        }
+            CameraReport::Owned(reason) => Some(format!("camera {id}: {reason}")),
+            CameraReport::Back => None,
+        };
+        tracing::warn!(camera = %id, "{}", problem.as_deref().unwrap_or("the camera is back"));
+        self.devices.set_problem(camera, problem);
     }
 
     pub(crate) fn recorder_event(&mut self, event: RecorderEvent) {

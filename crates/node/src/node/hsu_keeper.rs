@@ -102,7 +102,7 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
     let mut notice = |text: Option<String>| {
         if text != said {
             said.clone_from(&text);
-            drop(reports.send(Report::Notice { about: "time code", text }));
+            drop(reports.send(Report::Notice("time code", text)));
         }
     };
     if let Some(link) = &hsu {
@@ -123,7 +123,7 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
                     look(link, &mut time_code);
                 }
                 tell(time_code.finish(clock.now()));
-                notice(time_code.absence());
+                notice(time_code.absence(false));
                 return;
             }
             Ok(Order::Reconnect { next }) => {
@@ -141,7 +141,7 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
                     drop(to_recorder.send(RecorderCommand::Clock(hsu_sample(&sample, &clock))));
                     look(link, &mut time_code);
                     if Instant::now() >= code_due {
-                        notice(time_code.absence_so_far());
+                        notice(time_code.absence(true));
                     }
                 }
             }

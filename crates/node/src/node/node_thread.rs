@@ -18,10 +18,11 @@ use crate::control::status::{ExposureSet, NodeStatus, Outcome, SessionCommand};
 use crate::host::process_limits::ProcessMemory;
 use crate::host::{heap, realtime};
 use crate::hsu::{ArmRequest, Hsu, HsuError, SessionId, Slope};
-use crate::record::free_bytes;
+use crate::record::{free_bytes, node_dir};
 use crate::telemetry::{Current, Telemetry};
 use crossbeam_channel::{Receiver, Sender, bounded, never, select};
 use std::collections::VecDeque;
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, RwLock};
 use std::thread::JoinHandle;
@@ -29,10 +30,14 @@ use std::time::{Duration, Instant};
 
 /// The running node.
 pub struct NodeThread {
-    commands: Sender<Command>,
-    status: SharedStatus,
-    taps: [Arc<Taps>; 2],
-    telemetry: Arc<Telemetry>,
+    /// Where the API sends commands.
+    pub commands: Sender<Command>,
+    /// The status as the node's thread last published it.
+    pub status: SharedStatus,
+    /// Samples of frames: for previews, and for the live body.
+    pub taps: [Arc<Taps>; 2],
+    /// The counters of the node's threads.
+    pub telemetry: Arc<Telemetry>,
     stop: Sender<()>,
     thread: JoinHandle<()>,
 }
@@ -89,26 +94,6 @@ impl NodeThread {
         let thread =
             std::thread::Builder::new().name("node".to_owned()).spawn(move || node.run(&inbox, &stopped))?;
         Ok(Self { commands, status, taps, telemetry, stop, thread })
-    }
-
-    /// Where the API sends commands.
-    pub fn commands(&self) -> Sender<Command> {
-        self.commands.clone()
-    }
-
-    /// The status as the node's thread last published it.
-    pub fn status(&self) -> SharedStatus {
-        Arc::clone(&self.status)
-    }
-
-    /// Where previews, and where the live body get their samples.
-    pub fn taps(&self) -> [Arc<Taps>; 2] {
-        self.taps.clone()
-    }
-
-    /// What the node's threads count.
-    pub fn telemetry(&self) -> Arc<Telemetry> {
-        Arc::clone(&self.telemetry)
     }
 
     /// Asks for the end: a session in progress is ended with its verdict, then the thread. Does not wait.
@@ -219,36 +204,10 @@ impl Node {
     }
 
     fn prepare(&mut self, request: SessionRequest, reply: Reply) {
-        let refuse = |reply: Reply, message: String| drop(reply.send(Err(Fault::new(Exit::Usage, message))));
-        if self.machine.phase() != Phase::Idle {
-            return refuse(reply, format!("the node is busy with a session ({:?})", self.machine.phase()));
-        }
-        let name = match request.check() {
-            Ok(name) => name,
-            Err(message) => return refuse(reply, message),
+        let dir = match self.accept(&request) {
+            Ok(dir) => dir,
+            Err(message) => return drop(reply.send(Err(Fault::new(Exit::Usage, message)))),
         };
-        if !request.nodes.contains(&self.config.node) {
-            return refuse(
-                reply,
-                format!("the session is for other nodes, this one is {}", self.config.node),
-            );
-        }
-        if let Some(edge) = request.start_on.filter(|_| self.config.trigger.action().is_some()) {
-            let message = format!(
-                "a start at the {edge}; expected an HSU, which has inputs: this node triggers by action commands"
-            );
-            return refuse(reply, message);
-        }
-        if let Some(edge) =
-            request.start_on.filter(|edge| Some(edge.line) == self.devices.unit().time_code_input())
-        {
-            let message = format!(
-                "a start at the {edge}; expected another input: input {} carries time code (hsu.time_code_input)",
-                edge.line
-            );
-            return refuse(reply, message);
-        }
-        let dir = self.config.sessions_dir.join(name.as_str()).join(format!("node-{}", self.config.node));
         tracing::info!(session = request.name, triggers = request.triggers, "preparing");
         self.pending = Some(reply);
         let mut session = Session::new(request.clone(), dir, self.config.cameras.len());
@@ -260,6 +219,32 @@ impl Node {
         });
         self.session = Some(session);
         self.take(Event::Prepare(request));
+    }
+
+    /// Where this node records a session; or why it cannot take part in it.
+    fn accept(&self, request: &SessionRequest) -> Result<PathBuf, String> {
+        let (node, phase) = (&self.config.node, self.machine.phase());
+        if phase != Phase::Idle {
+            return Err(format!("the node is busy with a session ({phase:?})"));
+        }
+        let name = request.check()?;
+        if !request.nodes.contains(node) {
+            return Err(format!("the session is for other nodes, this one is {node}"));
+        }
+        if let Some(edge) = request.start_on {
+            if self.config.trigger.action().is_some() {
+                return Err(format!(
+                    "a start at the {edge}; expected an HSU, which has inputs: this node triggers by action commands"
+                ));
+            }
+            if Some(edge.line) == self.devices.unit().time_code_input() {
+                return Err(format!(
+                    "a start at the {edge}; expected another input: input {} carries time code (hsu.time_code_input)",
+                    edge.line
+                ));
+            }
+        }
+        Ok(node_dir(&self.config.sessions_dir.join(name.as_str()), node))
     }
 
     /// Sets exposure and gain while nobody needs the cameras.
@@ -292,29 +277,23 @@ impl Node {
     fn session_command(&mut self, command: &SessionCommand, reply: Reply, event: Event) {
         let ours = self.machine.request().is_some_and(|request| request.session_id == command.session_id);
         let phase = self.machine.phase();
-        let answer = match (ours, &event) {
-            (false, _) => Err(Fault::new(Exit::Usage, "the node is not in this session (any more)")),
-            (true, Event::Start) if phase != Phase::Ready => {
-                Err(Fault::new(Exit::Usage, format!("the session cannot be started, it is {phase:?}")))
+        let usage = |message: String| Err(Fault::new(Exit::Usage, message));
+        let answer = match event {
+            _ if !ours => usage("the node is not in this session (any more)".to_owned()),
+            Event::Start if phase != Phase::Ready => {
+                usage(format!("the session cannot be started, it is {phase:?}"))
             }
             // The answer to a start is the HSU's.
-            (true, Event::Start) => self.start_train(),
-            (true, _) => {
+            Event::Start => {
+                let actions = self.machine.step(event, self.origin.elapsed());
+                if actions.contains(&Action::StartTrain) { self.start_on_hsu() } else { Ok(()) }
+            }
+            _ => {
                 self.take(event);
                 Ok(())
             }
         };
         drop(reply.send(answer));
-    }
-
-    fn start_train(&mut self) -> Result<(), Fault> {
-        let mut answer = Ok(());
-        for action in self.machine.step(Event::Start, self.origin.elapsed()) {
-            if action == Action::StartTrain {
-                answer = self.start_on_hsu();
-            }
-        }
-        answer
     }
 
     /// Steps the machine, and carries out what it says until it says nothing more.
@@ -351,11 +330,11 @@ impl Node {
                     self.telemetry.applied(&camera.id, camera.settings.clone());
                 }
                 self.in_session(|session| session.has_cameras(cameras));
-                self.check_memory()
+                self.check_memory()?;
             }
-            Action::CreateRecording => self.create_recording(),
-            Action::StartStreams => self.start_streams(),
-            Action::SilenceGate => self.silence_gate(),
+            Action::CreateRecording => self.create_recording()?,
+            Action::StartStreams => self.start_streams()?,
+            Action::SilenceGate => self.silence_gate()?,
             Action::ArmHsu => {
                 let Some(session) = &self.session else { return Ok(()) };
                 let request = session.request.clone();
@@ -368,39 +347,29 @@ impl Node {
                 };
                 hsu.arm(&arm).map_err(hsu_fault)?;
                 self.in_session(|session| session.next_trigger = -i64::from(arm.warm_up));
-                Ok(())
             }
-            Action::ReportReady => {
-                self.answer(Ok(()));
-                Ok(())
-            }
+            Action::ReportReady => self.answer(Ok(())),
             Action::ReportFailed(fault) => {
                 tracing::warn!("session failed: {}", fault.message);
                 self.in_session(|session| session.outcome = Some(Outcome::Failed(fault.clone())));
                 self.answer(Err(fault));
-                Ok(())
             }
-            Action::StartTrain => self.start_on_hsu(),
-            Action::StopTrain => self.on_hsu(|hsu, session| hsu.stop(session)),
-            Action::DisarmHsu => self.on_hsu(|hsu, session| hsu.disarm(session)),
-            Action::StopStreams => {
-                self.stop_streams();
-                Ok(())
-            }
-            Action::DiscardRecording => self.discard_recording(),
+            Action::StartTrain => self.start_on_hsu()?,
+            Action::StopTrain => self.on_hsu(|hsu, session| hsu.stop(session))?,
+            Action::DisarmHsu => self.on_hsu(|hsu, session| hsu.disarm(session))?,
+            Action::StopStreams => self.stop_streams(),
+            Action::DiscardRecording => self.discard_recording()?,
             Action::Keep { first, pressed } => {
-                self.in_session(|session| session.tell(RecorderCommand::Keep { first, pressed }));
-                Ok(())
+                self.in_session(|session| session.tell(RecorderCommand::Keep { first, pressed }))
             }
             Action::Drain { emitted } => {
-                self.in_session(|session| session.tell(RecorderCommand::Drain { emitted }));
-                Ok(())
+                self.in_session(|session| session.tell(RecorderCommand::Drain { emitted }))
             }
             Action::CloseRecording { aborted } => {
-                self.in_session(|session| session.tell(RecorderCommand::Close { aborted }));
-                Ok(())
+                self.in_session(|session| session.tell(RecorderCommand::Close { aborted }))
             }
         }
+        Ok(())
     }
 
     pub(crate) fn in_session(&mut self, change: impl FnOnce(&mut Session)) {

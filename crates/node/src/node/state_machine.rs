@@ -122,7 +122,8 @@ pub const DRAIN_TIMEOUT: Duration = Duration::from_secs(10);
 #[derive(Debug, Clone)]
 pub struct Machine {
     phase: Phase,
-    done: Vec<Action>,
+    /// How many steps of the preparation are done.
+    done: usize,
     request: Option<SessionRequest>,
     aborted: Option<String>,
     last_activity: Duration,
@@ -148,7 +149,7 @@ impl Machine {
     pub fn new(period: Duration) -> Self {
         Self {
             phase: Phase::Idle,
-            done: Vec::new(),
+            done: 0,
             request: None,
             aborted: None,
             last_activity: Duration::ZERO,
@@ -195,10 +196,8 @@ impl Machine {
                 vec![STEPS[0].0.clone()]
             }
             (Phase::Preparing, Event::StepDone) => self.next_step(),
-            (Phase::Preparing, Event::Failed(fault)) => self.undo(Some(Action::ReportFailed(fault))),
-            (Phase::Preparing, Event::Abort(reason)) => {
-                self.undo(Some(Action::ReportFailed(Fault::new(Exit::Failure, reason))))
-            }
+            (Phase::Preparing | Phase::Ready, Event::Failed(fault)) => self.undo(fault),
+            (Phase::Preparing, Event::Abort(reason)) => self.undo(Fault::new(Exit::Failure, reason)),
             (Phase::Ready, Event::Start) => vec![Action::StartTrain],
             (Phase::Ready, Event::Trigger) => {
                 let holds = self.request.as_ref().is_some_and(|request| request.pre_triggers > 0);
@@ -209,7 +208,6 @@ impl Machine {
                 self.phase = Phase::Running;
                 vec![Action::Keep { first, pressed }]
             }
-            (Phase::Ready, Event::Failed(fault)) => self.undo(Some(Action::ReportFailed(fault))),
             (Phase::Ready, Event::Abort(reason)) => self.give_up(reason),
             // It may have been started from another node, or the first report is on its way: the HSU knows, and
             // answers with the end of a train that may be empty.
@@ -241,16 +239,18 @@ impl Machine {
                 self.link_lost = false;
                 Vec::new()
             }
-            (Phase::Holding, Event::Failed(fault)) => self.let_go(fault.message),
-            (Phase::Holding, Event::Abort(reason)) => self.let_go(reason),
+            (Phase::Holding, Event::Failed(Fault { message: reason, .. }) | Event::Abort(reason)) => {
+                self.let_go(reason)
+            }
             (Phase::Holding, Event::Tick) if now.saturating_sub(self.holding_since) > HOLD_TIMEOUT => {
                 self.let_go(format!("nobody pressed Record within {} min", HOLD_TIMEOUT.as_secs() / 60))
             }
             (Phase::Holding, Event::Tick) if self.idle_for(now) > self.patience() => {
                 self.let_go(self.silence(now))
             }
-            (Phase::Running, Event::Failed(fault)) => self.break_off(fault.message),
-            (Phase::Running, Event::Abort(reason)) => self.break_off(reason),
+            (Phase::Running, Event::Failed(Fault { message: reason, .. }) | Event::Abort(reason)) => {
+                self.break_off(reason)
+            }
             (Phase::Running, Event::Tick) if self.idle_for(now) > self.patience() => {
                 self.break_off(self.silence(now))
             }
@@ -261,12 +261,8 @@ impl Machine {
                 self.close()
             }
             (Phase::Draining, Event::TrainDone { emitted }) => vec![Action::Drain { emitted: Some(emitted) }],
-            (Phase::Draining, Event::Failed(fault)) => {
-                self.aborted.get_or_insert(fault.message);
-                Vec::new()
-            }
-            // The node that was told first has ended the train for both.
-            (Phase::Draining, Event::Abort(reason)) => {
+            // The node that received the abort first has ended the train for both.
+            (Phase::Draining, Event::Failed(Fault { message: reason, .. }) | Event::Abort(reason)) => {
                 self.aborted.get_or_insert(reason);
                 Vec::new()
             }
@@ -288,9 +284,8 @@ impl Machine {
     }
 
     fn next_step(&mut self) -> Vec<Action> {
-        let Some((step, _)) = STEPS.get(self.done.len()) else { return Vec::new() };
-        self.done.push(step.clone());
-        match STEPS.get(self.done.len()) {
+        self.done += 1;
+        match STEPS.get(self.done) {
             Some((next, _)) => vec![next.clone()],
             None => {
                 self.phase = Phase::Ready;
@@ -300,15 +295,15 @@ impl Machine {
     }
 
     /// Undoes what was done, last first, and is idle again.
-    fn undo(&mut self, report: Option<Action>) -> Vec<Action> {
-        let undoing = STEPS[..self.done.len()].iter().rev().filter_map(|(_, undo)| undo.clone());
-        let actions = undoing.chain(report).collect();
+    fn undo(&mut self, fault: Fault) -> Vec<Action> {
+        let undoing = STEPS[..self.done].iter().rev().filter_map(|(_, undo)| undo.clone());
+        let actions = undoing.chain([Action::ReportFailed(fault)]).collect();
         self.reset();
         actions
     }
 
     fn give_up(&mut self, reason: String) -> Vec<Action> {
-        self.undo(Some(Action::ReportFailed(Fault::new(Exit::Device, reason))))
+        self.undo(Fault::new(Exit::Device, reason))
     }
 
     fn silence(&self, now: Duration) -> String {
@@ -337,7 +332,7 @@ impl Machine {
 
     fn reset(&mut self) {
         self.phase = Phase::Idle;
-        self.done.clear();
+        self.done = 0;
         self.link_lost = false;
         self.request = None;
     }

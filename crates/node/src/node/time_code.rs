@@ -98,7 +98,7 @@ impl TimeCodeKeeper {
         self.tell_last(host_time_ns, &mut events);
         let Some(input) = self.input else { return events };
         let refused = self.no_good();
-        if let Some(message) = self.absence() {
+        if let Some(message) = self.absence(false) {
             events.push(EventKind::TimeCodeAbsent.event(host_time_ns, None, message));
         } else if refused > 0 {
             let message = format!("{refused} frames of time code on input {input} were no good");
@@ -107,29 +107,26 @@ impl TimeCodeKeeper {
         events
     }
 
-    /// That no code was understood, where there was to be one.
-    pub fn absence(&self) -> Option<String> {
+    /// That no code was understood, where there was to be one; `so_far`: with what to check while the session runs.
+    pub fn absence(&self, so_far: bool) -> Option<String> {
         if self.why_none.is_some() {
             return self.why_none.clone();
         }
         let input = self.input.filter(|_| self.runs == 0)?;
-        Some(match self.no_good() {
-            0 => format!("no time code came on input {input}"),
-            refused => format!("no time code was understood on input {input}: {refused} frames were no good"),
+        Some(match (so_far, self.no_good()) {
+            (false, 0) => format!("no time code came on input {input}"),
+            (false, refused) => {
+                format!("no time code was understood on input {input}: {refused} frames were no good")
+            }
+            (true, 0) => format!(
+                "no time code is understood on input {input} so far: none comes: is it played, and wired to this input \
+                 (hsu.time_code_input)?"
+            ),
+            (true, _) => format!(
+                "no time code is understood on input {input} so far: frames come and are no good: check level, ground \
+                 and adapter of the line"
+            ),
         })
-    }
-
-    /// The same while the session runs, with what to look at.
-    pub fn absence_so_far(&self) -> Option<String> {
-        if self.why_none.is_some() {
-            return self.why_none.clone();
-        }
-        let input = self.input.filter(|_| self.runs == 0)?;
-        let found = match self.no_good() {
-            0 => "none comes: is it played, and wired to this input (hsu.time_code_input)?",
-            _ => "frames come and are no good: look at level, ground and adapter of the line",
-        };
-        Some(format!("no time code is understood on input {input} so far: {found}"))
     }
 
     /// Frames that were no good.
@@ -288,7 +285,7 @@ mod tests {
         assert!(keeper.look(&unit, 0).is_empty() && !keeper.is_running());
         let (mut code, mut at_ns) = (TimeCode::parse("09:59:59:20").expect("a code"), 5);
         let (first, begin_ns) = (code, at_ns);
-        assert!(keeper.absence_so_far().is_some_and(|text| text.contains("input 3 so far: none comes")));
+        assert!(keeper.absence(true).is_some_and(|text| text.contains("input 3 so far: none comes")));
         for _ in 0..3000 {
             let (last, end_ns) = unit.hears(&code.to_string(), at_ns, 5);
             (code, at_ns) = (last.after(1, 25).expect("a code"), end_ns);
@@ -296,7 +293,7 @@ mod tests {
             assert!(keeper.is_running());
         }
         events.extend(keeper.finish(0));
-        assert_eq!((keeper.absence(), keeper.absence_so_far()), (None, None));
+        assert_eq!((keeper.absence(false), keeper.absence(true)), (None, None));
         let heard: Vec<HeardTimeCode> = events.iter().filter_map(HeardTimeCode::of).collect();
         assert_eq!((heard.len(), events.len()), (601, 601));
         assert!(heard.iter().all(|heard| heard.run == 0));
@@ -355,12 +352,12 @@ mod tests {
         keeper.look(&unit, 0);
         unit.refused.set(9);
         keeper.look(&unit, 0);
-        let so_far = keeper.absence_so_far().expect("none was understood");
+        let so_far = keeper.absence(true).expect("none was understood");
         assert!(so_far.contains("input 3 so far: frames come and are no good"), "{so_far}");
         let events = keeper.finish(0);
         assert_eq!(kinds(&events), ["time_code_absent"]);
         assert!(events[0].message.contains("input 3: 2 frames"), "{}", events[0].message);
-        assert_eq!(keeper.absence().as_ref(), Some(&events[0].message));
+        assert_eq!(keeper.absence(false).as_ref(), Some(&events[0].message));
 
         // More than the unit remembers, and then it is switched off and on.
         let (unit, mut keeper) = (Unit::default(), TimeCodeKeeper::new(Some(3)));
@@ -390,8 +387,8 @@ mod tests {
             let events = keeper.look(&unit, 0);
             assert_eq!(kinds(&events), ["time_code_absent"]);
             assert!(keeper.look(&unit, 0).is_empty() && keeper.finish(0).is_empty());
-            assert_eq!(keeper.absence().as_ref(), Some(&events[0].message));
-            assert_eq!(keeper.absence_so_far(), keeper.absence());
+            assert_eq!(keeper.absence(false).as_ref(), Some(&events[0].message));
+            assert_eq!(keeper.absence(true), keeper.absence(false));
             assert_eq!(unit.asked.get(), 0);
         }
         // Any other refusal is asked again.

@@ -18,16 +18,31 @@ use crate::base::ids::CameraId;
 use crate::host::realtime;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use serde::Serialize;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 /// Pictures are at least so far apart.
 const PERIOD: Duration = Duration::from_millis(250);
-/// Whoever has not asked for so long does not look any more.
+/// A client that has sent no request for this long does not look any more.
 const INTEREST: Duration = Duration::from_secs(2);
 /// How often the thread looks for samples.
 const POLL: Duration = Duration::from_millis(40);
+
+/// When something was last requested: work that nobody looks at is not done.
+#[derive(Debug, Default)]
+pub(crate) struct Interest(Mutex<Option<Instant>>);
+
+impl Interest {
+    /// Notes a request that arrives now.
+    pub(crate) fn note(&self) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+    }
+
+    /// Whether the last request is recent enough.
+    pub(crate) fn is_fresh(&self) -> bool {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|at| at.elapsed() < INTEREST)
+    }
+}
 
 /// One camera's picture.
 #[derive(Debug, Clone)]
@@ -71,9 +86,7 @@ pub struct Previews {
 
 struct Shared {
     taps: Arc<Taps>,
-    origin: Instant,
-    /// When each camera was last asked for, ms after `origin`, plus one; 0: never.
-    asked: Vec<AtomicU64>,
+    requested: Vec<Interest>,
     pictures: Vec<RwLock<Option<Arc<Picture>>>>,
 }
 
@@ -83,8 +96,7 @@ impl Previews {
         let cameras = taps.cameras().count();
         let shared = Arc::new(Shared {
             taps,
-            origin: Instant::now(),
-            asked: (0..cameras).map(|_| AtomicU64::new(0)).collect(),
+            requested: (0..cameras).map(|_| Interest::default()).collect(),
             pictures: (0..cameras).map(|_| RwLock::default()).collect(),
         });
         let (wake, awake) = bounded(1);
@@ -125,8 +137,7 @@ impl Previews {
     }
 
     fn look(&self, place: usize) -> Option<Arc<Picture>> {
-        let now = self.shared.origin.elapsed().as_millis() as u64 + 1;
-        self.shared.asked.get(place)?.store(now, Ordering::Release);
+        self.shared.requested.get(place)?.note();
         // A thread that is awake already needs no second call.
         let _ = self.wake.try_send(());
         self.shared.pictures.get(place)?.read().unwrap_or_else(PoisonError::into_inner).clone()
@@ -143,13 +154,13 @@ pub struct UnknownCamera {
 
 impl Shared {
     fn run(&self, awake: &Receiver<()>) {
-        let cameras = self.asked.len();
-        let mut next: Vec<Instant> = vec![self.origin; cameras];
+        let cameras = self.requested.len();
+        let mut next: Vec<Instant> = vec![Instant::now(); cameras];
         let mut done: Vec<Option<Sample>> = vec![None; cameras];
         // Without interest it sleeps here; it ends when nobody can ask any more.
         while awake.recv().is_ok() {
-            while (0..cameras).any(|camera| self.is_wanted(camera)) {
-                for camera in (0..cameras).filter(|camera| self.is_wanted(*camera)) {
+            while self.requested.iter().any(Interest::is_fresh) {
+                for camera in (0..cameras).filter(|camera| self.requested[*camera].is_fresh()) {
                     if Instant::now() >= next[camera] {
                         self.taps.ask(camera);
                         next[camera] = Instant::now() + PERIOD;
@@ -162,12 +173,6 @@ impl Shared {
                 std::thread::sleep(POLL);
             }
         }
-    }
-
-    fn is_wanted(&self, camera: usize) -> bool {
-        let asked = self.asked[camera].load(Ordering::Acquire);
-        let now = self.origin.elapsed().as_millis() as u64 + 1;
-        asked != 0 && now.saturating_sub(asked) < INTEREST.as_millis() as u64
     }
 
     fn show(&self, camera: usize, sample: &Sample) {

@@ -7,6 +7,7 @@
 use crate::base::ids::NodeId;
 use crate::base::regular;
 use crate::batch::result::Clouds;
+use crate::config::QuickLookConfig;
 use crate::control::request::Phase;
 use crate::control::status::{NodeStatus, Outcome};
 use crate::data::{Cloud, FrameSource};
@@ -26,17 +27,6 @@ pub const POINT_BYTES: usize = 12;
 /// Looks that are kept.
 const KEPT: usize = 4;
 const POLL: Duration = Duration::from_millis(50);
-
-/// What quick looks need.
-#[derive(Debug, Clone)]
-pub struct Settings {
-    /// The calibration to use.
-    pub calibration: PathBuf,
-    /// Frame sets of a session, spread over it.
-    pub sets: usize,
-    /// Where the work is done.
-    pub work_dir: PathBuf,
-}
 
 /// How far a look is.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, utoipa::ToSchema)]
@@ -82,7 +72,7 @@ pub struct QuickLooks {
 }
 
 struct Inner {
-    settings: Option<Settings>,
+    settings: Option<QuickLookConfig>,
     node: NodeId,
     sessions_dir: PathBuf,
     status: Arc<RwLock<NodeStatus>>,
@@ -93,7 +83,10 @@ struct Inner {
 
 impl QuickLooks {
     /// Starts the thread that looks at every session as soon as it is recorded. Without settings nothing is looked at.
-    pub fn start(settings: Option<Settings>, status: Arc<RwLock<NodeStatus>>) -> std::io::Result<Self> {
+    pub fn start(
+        settings: Option<QuickLookConfig>,
+        status: Arc<RwLock<NodeStatus>>,
+    ) -> std::io::Result<Self> {
         let (node, sessions_dir) = {
             let status = status.read().unwrap_or_else(PoisonError::into_inner);
             (status.node.clone(), status.sessions_dir.clone())
@@ -152,14 +145,11 @@ impl QuickLooks {
             return Err("another session is being looked at; ask again in a few seconds".to_owned());
         }
         self.inner.change(session, |look| *look = Look::default());
-        self.inner.change(session, |look| look.progress = Progress::Working { done: 0, of: settings.sets });
+        self.inner
+            .change(session, |look| look.progress = Progress::Working { done: 0, of: settings.frame_sets });
         let (inner, settings, name) = (Arc::clone(&self.inner), settings.clone(), session.to_owned());
         let work = move || {
-            let progress = match inner.look(&settings, &name, &recording) {
-                Ok(()) => Progress::Ready,
-                Err(Ended::GaveWay) => Progress::GaveWay,
-                Err(Ended::Failed(reason)) => Progress::Failed { reason },
-            };
+            let progress = inner.look(&settings, &name, &recording).err().unwrap_or(Progress::Ready);
             inner.change(&name, |look| look.progress = progress);
             inner.busy.store(false, Ordering::Release);
         };
@@ -181,11 +171,6 @@ impl QuickLooks {
             std::thread::sleep(4 * POLL);
         }
     }
-}
-
-enum Ended {
-    GaveWay,
-    Failed(String),
 }
 
 impl Inner {
@@ -220,20 +205,20 @@ impl Inner {
         recorded.then(|| (session.session_id, session.name.clone()))
     }
 
-    fn look(&self, settings: &Settings, name: &str, recording: &Path) -> Result<(), Ended> {
-        let failed = |reason: String| Ended::Failed(reason);
+    fn look(&self, settings: &QuickLookConfig, name: &str, recording: &Path) -> Result<(), Progress> {
+        let failed = |reason: String| Progress::Failed { reason };
         let session = SessionReader::open_frames(recording).map_err(|e| failed(e.to_string()))?;
         let cameras: Vec<&str> = session.cameras().iter().map(|camera| camera.as_str()).collect();
         let cameras = cameras.join(",");
-        let triggers = spread(session.triggers(), settings.sets);
+        let triggers = spread(session.triggers(), settings.frame_sets);
         if triggers.is_empty() {
             return Err(failed("the session has no frames".to_owned()));
         }
         for (done, trigger) in triggers.iter().copied().enumerate() {
             self.change(name, |look| look.progress = Progress::Working { done, of: triggers.len() });
-            let out = settings.work_dir.join(format!("{name}-{}-{trigger}", self.node));
+            let out = self.sessions_dir.join(".quick-look").join(format!("{name}-{}-{trigger}", self.node));
             let made = self.reconstruct(settings, recording, &cameras, trigger, &out);
-            let cloud = made.and_then(|()| read_cloud(&out, trigger).map_err(Ended::Failed));
+            let cloud = made.and_then(|()| read_cloud(&out, trigger).map_err(failed));
             // What is left of a look that failed is of no use either.
             let _ = std::fs::remove_dir_all(&out);
             let bytes = Arc::new(encode(&cloud?, POINTS_MAX));
@@ -247,13 +232,14 @@ impl Inner {
 
     fn reconstruct(
         &self,
-        settings: &Settings,
+        settings: &QuickLookConfig,
         recording: &Path,
         cameras: &str,
         trigger: u64,
         out: &Path,
-    ) -> Result<(), Ended> {
-        let failed = |what: &str, error: std::io::Error| Ended::Failed(format!("{what}: {error}"));
+    ) -> Result<(), Progress> {
+        let failed =
+            |what: &str, error: std::io::Error| Progress::Failed { reason: format!("{what}: {error}") };
         std::fs::create_dir_all(out).map_err(|e| failed(&out.display().to_string(), e))?;
         let log = regular::create(&out.join("log")).map_err(|e| failed("its log", e))?;
         let command = idle_process::command(["reconstruct"]);
@@ -271,7 +257,7 @@ impl Inner {
         let status = loop {
             if !self.is_idle() || self.ended.load(Ordering::Acquire) {
                 idle_process::end(&mut child);
-                return Err(Ended::GaveWay);
+                return Err(Progress::GaveWay);
             }
             match child.try_wait().map_err(|e| failed("the reconstruction", e))? {
                 Some(status) => break status,
@@ -283,10 +269,9 @@ impl Inner {
             Some(0 | 3) => Ok(()),
             _ => {
                 let log = regular::read(&out.join("log"), regular::TEXT_BYTES).unwrap_or_default();
-                Err(Ended::Failed(format!(
-                    "the reconstruction ended with {status}: {}",
-                    String::from_utf8_lossy(&log).trim()
-                )))
+                let text = String::from_utf8_lossy(&log);
+                let reason = format!("the reconstruction ended with {status}: {}", text.trim());
+                Err(Progress::Failed { reason })
             }
         }
     }

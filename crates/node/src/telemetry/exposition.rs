@@ -21,11 +21,7 @@ pub enum Kind {
 
 impl fmt::Display for Kind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Counter => "counter",
-            Self::Gauge => "gauge",
-            Self::Histogram => "histogram",
-        })
+        self.serialize(f)
     }
 }
 
@@ -95,9 +91,14 @@ impl Sample {
 }
 
 impl Family {
-    /// A family.
+    /// A family with these samples.
     pub fn new(name: &str, help: &str, kind: Kind, samples: Vec<Sample>) -> Self {
         Self { name: name.to_owned(), help: help.to_owned(), kind, samples }
+    }
+
+    /// A family of one number without labels: its name, help, kind and value.
+    pub fn single((name, help, kind, value): (&str, &str, Kind, f64)) -> Self {
+        Self::new(name, help, kind, vec![Sample::new(&[], value)])
     }
 }
 

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which sessions are there, and which comes next.
 
-use super::state::{Job, Stage, now_ns};
+use super::state::{Job, Stage};
 use crate::base::ids::SessionName;
+use crate::base::time::host_time_ns;
 use crate::config::{Order, WorkerConfig};
 use crate::record::catalogue::{self, CatalogueEntry};
 use std::collections::BTreeSet;
@@ -65,7 +66,7 @@ pub fn look(config: &WorkerConfig, first: &[String]) -> Inventory {
         Order::Newest => (place(found), u64::MAX - found.created_ns),
         Order::Oldest => (place(found), found.created_ns),
     });
-    let now = now_ns();
+    let now = host_time_ns();
     let later = |found: &Found| {
         let job = Job::load(&config.results, &found.name)?;
         let wait_s = job.not_before_ns.checked_sub(now).filter(|ns| *ns > 0)? / 1_000_000_000;

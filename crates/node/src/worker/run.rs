@@ -3,8 +3,9 @@
 
 use super::give_way::GiveWay;
 use super::queue::{self, Found};
-use super::state::{Activity, Job, OWN_DIR, Stage, WorkerState, now_ns};
+use super::state::{Activity, Job, OWN_DIR, Stage, WorkerState};
 use super::task::{self, Ended, Interruption};
+use crate::base::time::host_time_ns;
 use crate::base::{Exit, Fault, regular, write_whole};
 use crate::batch::collect_shards;
 use crate::batch::key::{ALGORITHM, CALIBRATION_FILE, KEY_FILE, Key, calibration_sha256};
@@ -153,7 +154,7 @@ impl Worker {
     fn say(&mut self, activity: Activity, reason: Option<String>) {
         self.state.activity = activity;
         self.state.reason = reason;
-        self.state.written_ns = now_ns();
+        self.state.written_ns = host_time_ns();
         // What cannot be written now is written a second later; the state is for people.
         if let Err(error) = self.state.store(&self.config.results) {
             tracing::warn!("the worker's state cannot be written: {error}");
@@ -208,7 +209,7 @@ impl Worker {
                 obstacle = self.blame(found);
                 job.attempts += u32::from(obstacle.is_none());
                 let wait = RETRY * 2_u32.saturating_pow(job.attempts.saturating_sub(1).min(16));
-                job.not_before_ns = now_ns() + u64::try_from(wait.as_nanos()).unwrap_or(0);
+                job.not_before_ns = host_time_ns() + u64::try_from(wait.as_nanos()).unwrap_or(0);
                 if job.attempts >= self.config.attempts {
                     job.stage = Stage::SetAside;
                 }
@@ -217,7 +218,7 @@ impl Worker {
             }
         }
         if job.has_ended() {
-            job.ended_ns = now_ns();
+            job.ended_ns = host_time_ns();
         }
         self.state.job = None;
         self.keep(&job);
@@ -248,7 +249,7 @@ impl Worker {
             }
         }
         if job.session_id.is_empty() {
-            *job = Job { began_ns: now_ns(), ..Job::default() };
+            *job = Job { began_ns: host_time_ns(), ..Job::default() };
         }
         (job.session, job.of) = (found.name.clone(), found.triggers);
         Ok(())

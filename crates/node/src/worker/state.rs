@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the worker writes down: what has become of each session, and what it does now.
 
+use crate::base::time::host_time_ns;
 use crate::base::{json, regular, write_whole, write_whole_cached};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Where the worker keeps what is its own, inside the results' directory.
 pub const OWN_DIR: &str = ".worker";
@@ -142,7 +142,7 @@ impl WorkerState {
     /// Whether the worker that wrote this is gone: it writes every two seconds at least.
     pub fn is_stale(&self) -> bool {
         const SILENT_NS: u64 = 15_000_000_000;
-        self.activity != Activity::Ended && now_ns().saturating_sub(self.written_ns) > SILENT_NS
+        self.activity != Activity::Ended && host_time_ns().saturating_sub(self.written_ns) > SILENT_NS
     }
 
     /// For people.
@@ -169,12 +169,6 @@ impl WorkerState {
             self.not_yet.len()
         )
     }
-}
-
-/// Now, host clock, ns.
-pub fn now_ns() -> u64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
 }
 
 fn load<T: serde::de::DeserializeOwned>(path: &Path) -> Option<T> {
