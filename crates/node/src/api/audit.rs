@@ -42,7 +42,7 @@ const FILES_KEPT: usize = 9;
 /// Refusals that get a line; the others are counted in the next one.
 const REFUSAL_LINES: Rate = Rate { per_second: 0.2, burst: 20.0 };
 
-/// One line.
+/// One line of the audit log.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditLine {
     /// When, CLOCK_REALTIME (UTC), ns since 1970.
@@ -64,11 +64,9 @@ pub struct AuditLine {
     pub request: Option<serde_json::Value>,
     /// The session that it concerned, in hexadecimal.
     pub session_id: Option<String>,
-    /// Its name.
     pub session: Option<String>,
     /// Triggers that had been reported when it was answered.
     pub trigger: Option<u64>,
-    /// The answer's HTTP status.
     pub status: u16,
     /// Refusals since the last line that got none of their own.
     #[serde(default, skip_serializing_if = "is_zero")]

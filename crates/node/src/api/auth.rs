@@ -29,9 +29,7 @@ use std::time::{Duration, Instant};
 pub struct Caller {
     /// The token's name, or `uid N` of the Unix socket, or the address.
     pub name: String,
-    /// What they may do.
     pub role: Role,
-    /// How they showed it.
     pub via: Via,
     /// Whose rate it counts against.
     pub(super) key: Key,
@@ -116,7 +114,7 @@ impl Auth {
         tokens.known.lock().unwrap_or_else(PoisonError::into_inner).problem.clone()
     }
 
-    /// Who bears this secret.
+    /// Name and role of the token with this secret.
     pub(super) fn bearer(&self, secret: &str) -> Option<(String, Role)> {
         let list = self.tokens.as_ref()?.current();
         list.bearer(secret).map(|token| (token.name.clone(), token.role))

@@ -13,7 +13,7 @@ use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{Notify, watch};
 
-/// All connections.
+/// All open connections of the server.
 #[derive(Clone)]
 pub struct Connections {
     book: Arc<Mutex<Book>>,
@@ -53,7 +53,7 @@ pub struct Standing {
 }
 
 impl Default for Connections {
-    /// None yet.
+    /// No connection is open yet.
     fn default() -> Self {
         Self { book: Arc::default(), open: watch::Sender::new(0) }
     }

@@ -55,7 +55,7 @@ const FILES: [(&str, &str, &str); 29] = served![
 /// What is there when nothing is named.
 const PAGE: (&str, &str, &str) = ("/", HTML, include_str!("../../../../web/index.html"));
 
-/// Their routes.
+/// The routes of all these files.
 pub(super) fn pages() -> Router<Shared> {
     FILES.into_iter().chain([PAGE]).fold(Router::new(), |router, (path, kind, text)| {
         let answer = move || async move { file(kind, text) };

@@ -33,7 +33,7 @@ pub const REQUESTS: Rate = Rate { per_second: 200.0, burst: 400.0 };
 /// Requests of one client that were refused for want of authentication, before it is told to come back later.
 pub const REFUSALS: Rate = Rate { per_second: 1.0, burst: 20.0 };
 
-/// Who is counted.
+/// The client that a request counts against.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Key {
     /// A user of this machine.
@@ -57,9 +57,9 @@ impl Key {
 /// A rate with a burst.
 #[derive(Debug, Clone, Copy)]
 pub struct Rate {
-    /// In the long run.
+    /// Requests a second in the long run.
     pub per_second: f64,
-    /// After a pause.
+    /// Requests that are allowed at once after a pause.
     pub burst: f64,
 }
 
@@ -73,7 +73,7 @@ pub struct Buckets {
 const CLIENTS_MAX: usize = 1024;
 
 impl Buckets {
-    /// Nothing counted yet.
+    /// Counters at this rate, with no request counted yet.
     pub fn new(rate: Rate) -> Self {
         Self { rate, left: Mutex::default() }
     }

@@ -19,7 +19,7 @@ use tokio::sync::oneshot;
 
 /// Recordings that are kept in mind: the newest ones.
 pub const LISTED_MAX: usize = 1000;
-/// Requests that wait.
+/// Requests that may wait for the thread; a further one is refused.
 const WAITING_MAX: usize = 64;
 /// Between two looks at the disk.
 const PAUSE: Duration = Duration::from_millis(250);
@@ -107,7 +107,7 @@ struct Known {
 struct Index {
     sessions_dir: PathBuf,
     node: NodeId,
-    /// By session.
+    /// The newest recordings, by the name of their session.
     known: BTreeMap<String, Known>,
 }
 

@@ -49,7 +49,7 @@ impl Logins {
         Some((token.name.clone(), token.role))
     }
 
-    /// Ends one.
+    /// Ends the login with this cookie.
     pub(super) fn end(&self, id: &str) {
         let id = SecretHash::of(id);
         self.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|login| !login.id.is(&id));

@@ -50,7 +50,6 @@ pub type OutcomeRead = Arc<AtomicU64>;
 
 /// What the server knows of the node whose API it is.
 pub struct NodeHandle {
-    /// Where commands go.
     pub commands: Sender<Command>,
     /// What the node's thread publishes.
     pub status: SharedStatus,
@@ -60,13 +59,12 @@ pub struct NodeHandle {
     pub telemetry: Arc<Telemetry>,
 }
 
-/// What all requests share.
+/// What all requests share: the node's handle, its configuration, who may do what, and the services. Made once at the
+/// start of the server.
 pub struct State {
-    /// The node.
     pub node: NodeHandle,
     /// As it was read at the start.
     pub config: NodeConfig,
-    /// Who may do what.
     pub auth: Auth,
     /// What was done by whom.
     pub audit: Audit,
@@ -77,7 +75,7 @@ pub struct State {
     transport_warnings: Vec<String>,
 }
 
-/// [`State`], for handlers.
+/// [`State`], as handlers receive it.
 pub type Shared = Arc<State>;
 
 impl State {

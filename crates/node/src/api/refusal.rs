@@ -10,11 +10,10 @@ use std::time::Duration;
 /// Why a request is not answered as asked.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Refusal {
-    /// HTTP status.
     pub status: StatusCode,
     /// What goes over the wire.
     pub fault: Fault,
-    /// When to try again.
+    /// Time after which the client may try again.
     pub retry_after: Option<Duration>,
 }
 

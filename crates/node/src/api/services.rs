@@ -20,7 +20,7 @@ use crate::worker::watch::WorkerWatch;
 use crossbeam_channel::Sender;
 use std::sync::Arc;
 
-/// Services of a node.
+/// The services of a node. They start with the server, and their threads end with it.
 pub struct Services {
     /// Captures that this node runs.
     pub coordinator: Coordinator,
@@ -34,24 +34,22 @@ pub struct Services {
     pub quick_looks: QuickLooks,
     /// Frame sets of what was reconstructed.
     pub desk: Desk,
-    /// The other nodes.
     pub peers: Arc<Vec<Peer>>,
     /// The worker of this machine.
     pub worker: WorkerWatch,
     _watch: Option<PeerWatch>,
 }
 
-/// Another node.
+/// Another node of the rig, with a client for it.
 #[derive(Debug, Clone)]
 pub struct Peer {
     /// Its name in the rig.
     pub name: NodeId,
-    /// How to ask it.
     pub client: NodeClient,
 }
 
 impl Services {
-    /// Starts them.
+    /// Starts the services with their threads.
     pub fn start(
         config: &NodeConfig,
         commands: Sender<Command>,

@@ -31,16 +31,12 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 /// How a request came in; every request carries it as an extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Link {
-    /// Over the Unix socket.
     Unix {
         /// The user at the other end, as the kernel says.
         uid: u32,
     },
-    /// Over TCP.
     Tcp {
-        /// The other end.
         from: SocketAddr,
-        /// By TLS.
         encrypted: bool,
     },
 }

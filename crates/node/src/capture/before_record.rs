@@ -11,7 +11,8 @@ use crate::control::status::{Held, SessionStatus};
 /// Longest time before Record, and after Stop, s.
 pub const SPAN_MAX_S: f64 = 600.0;
 
-/// A capture's ends.
+/// Where the recording of one capture begins and ends, in triggers. [`super::run::capture`] makes one for each take,
+/// and asks it in every round whether the train has to be stopped.
 #[derive(Debug)]
 pub(crate) struct Span {
     session_id: u64,
@@ -19,11 +20,10 @@ pub(crate) struct Span {
     before: u64,
     /// Triggers behind Record; 0: until stopped.
     behind: u64,
-    /// Triggers behind a stop.
+    /// Triggers that are recorded after a stop.
     after_stop: u64,
     /// What was decided when Record was pressed.
     keep: Option<KeepRequest>,
-    /// Which nodes know.
     told: Vec<bool>,
     /// The train is stopped when so many triggers are recorded.
     stop_at: Option<u64>,
@@ -44,7 +44,7 @@ impl Span {
         Ok(Self { session_id, before, behind, after_stop, keep: None, told, stop_at: None })
     }
 
-    /// Triggers before Record.
+    /// Triggers before Record that are kept.
     pub(crate) fn before(&self) -> u64 {
         self.before
     }

@@ -20,7 +20,7 @@ pub type Participants = Arc<dyn Fn() -> Vec<Box<dyn Participant>> + Send + Sync>
 pub struct CaptureState {
     /// Counts the captures that this node has run since it started.
     pub number: u64,
-    /// What was asked for.
+    /// The series as it was requested.
     pub series: Series,
     /// Whose capture it is, as the audit log names them.
     pub operator: String,
@@ -40,7 +40,7 @@ pub struct CaptureState {
     pub asked_to_end: bool,
 }
 
-/// Runs captures.
+/// Runs the captures of a node's operators, one at a time.
 #[derive(Clone)]
 pub struct Coordinator {
     cast: Participants,
@@ -107,7 +107,7 @@ impl Coordinator {
         self.running_control()?.record().then_some(()).ok_or_else(nothing)
     }
 
-    /// Gives the capture up.
+    /// Gives the capture up on all nodes.
     pub fn abort(&self, reason: &str) -> Result<(), Fault> {
         self.running_control().map(|control| control.abort(reason))
     }

@@ -17,7 +17,7 @@ use tokio::sync::oneshot;
 pub trait Participant: Send + Sync {
     /// Where it is, for messages.
     fn place(&self) -> String;
-    /// Its status.
+    /// The status of the node now.
     fn status(&self) -> Result<NodeStatus, Fault>;
     /// Whether it takes connections at all, asked when it gave no status: a node that is only busy goes on.
     fn is_there(&self) -> bool;
@@ -25,13 +25,13 @@ pub trait Participant: Send + Sync {
     fn free_name(&self, wanted: &str) -> Result<String, Fault>;
     /// Prepares a session and waits until the node is ready.
     fn prepare(&self, request: &SessionRequest) -> Result<(), Fault>;
-    /// Starts the train.
+    /// Starts the train of triggers.
     fn start(&self, session_id: u64) -> Result<(), Fault>;
     /// Records what is held, from a trigger on.
     fn keep(&self, request: &KeepRequest) -> Result<(), Fault>;
     /// Ends the train after the current trigger.
     fn stop(&self, session_id: u64) -> Result<(), Fault>;
-    /// Gives the session up.
+    /// Gives the session up; the reason is stored in the recording.
     fn abort(&self, session_id: u64, reason: &str) -> Result<(), Fault>;
 }
 

@@ -114,7 +114,6 @@ impl Watch {
 #[derive(Debug, PartialEq, Eq)]
 enum Seen {
     InSession,
-    /// Before it should have.
     Ended(String),
     NotInSession,
     Silent,

@@ -29,7 +29,7 @@ impl Captured {
         Self { name, dry_run, absent, nodes }
     }
 
-    /// The session's name.
+    /// The name under which the session is recorded.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -49,7 +49,7 @@ impl Captured {
         kept.map(|(_, session)| session.directory.clone()).collect()
     }
 
-    /// For people.
+    /// The verdict of every node in lines of text.
     pub fn lines(&self) -> Vec<String> {
         let kind = if self.dry_run { "dry run" } else { "session" };
         let mut lines = vec![format!("{kind} {}: {}", self.name, self.verdict())];
@@ -77,7 +77,7 @@ impl Captured {
         lines
     }
 
-    /// For scripts.
+    /// The same as JSON, for scripts.
     pub fn to_json(&self) -> serde_json::Value {
         let nodes =
             self.nodes.iter().map(|(node, session)| serde_json::json!({ "node": node, "session": session }));

@@ -30,9 +30,9 @@ pub struct CaptureRequest {
     pub triggers: Option<u64>,
     /// Also the session's directory; by default made from the time.
     pub name: Option<String>,
-    /// Pseudonymous.
+    /// A pseudonym of the subject, never a name.
     pub subject: Option<String>,
-    /// Free text.
+    /// A free text of the operator.
     pub note: Option<String>,
     /// The train starts at this edge of one of the HSU's inputs; nodes wait 120 s for it.
     pub start_on: Option<StartOn>,
@@ -41,7 +41,7 @@ pub struct CaptureRequest {
     pub pre_trigger_s: Option<f64>,
     /// Seconds that are recorded after a stop.
     pub post_trigger_s: Option<f64>,
-    /// Everything but the recording.
+    /// Everything is done as in a session, but nothing is recorded.
     pub dry_run: bool,
     /// A part of the rig is meant: without this all nodes of the rig take part.
     pub partial: bool,
@@ -60,7 +60,6 @@ pub const COUNTDOWN_MAX_S: u32 = 60;
 pub struct Control {
     stop: AtomicBool,
     record: AtomicBool,
-    /// All nodes hold frames.
     holding: AtomicBool,
     abort: Mutex<Option<String>>,
     /// Either was asked for at some time.
@@ -118,14 +117,14 @@ impl Control {
 pub enum Stage {
     /// Cameras and HSU of all nodes.
     Preparing,
-    /// Every node is ready.
+    /// Every node is ready; the countdown runs.
     CountingDown {
-        /// Until the first trigger.
+        /// Seconds until the first trigger.
         left_s: u32,
     },
     /// Every node is ready, and the HSU waits for an edge of an input.
     AwaitingEdge {
-        /// Which.
+        /// The edge that starts the train.
         edge: StartOn,
     },
     /// Triggers are coming, frames are held, and nothing is recorded before Record.
@@ -134,17 +133,17 @@ pub enum Stage {
         triggers: u64,
         /// Those that are to be kept.
         asked: u64,
-        /// As of [`Self::Recording`].
+        /// The same as in [`Self::Recording`].
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         notices: Vec<String>,
     },
     /// Triggers are coming, or their frames are.
     Recording {
-        /// Triggers so far.
+        /// Number of triggers recorded so far.
         triggers: u64,
         /// Triggers asked for; 0: until stopped.
         asked: u64,
-        /// Frames of all cameras.
+        /// Frames of all cameras so far.
         frames: u64,
         /// Gap records of all cameras.
         gaps: u64,
@@ -156,9 +155,9 @@ pub enum Stage {
     Stopping,
     /// A node takes connections and gives no status; the session goes on there, and its verdict is waited for.
     Unanswered {
-        /// Where it is.
+        /// The URL of the node.
         place: String,
-        /// For so long.
+        /// Seconds since its last status.
         since_s: u64,
     },
 }
@@ -191,7 +190,7 @@ impl fmt::Display for Stage {
     }
 }
 
-/// Nodes of one session.
+/// The nodes of one session, in the order of its request.
 pub type Nodes<'a> = &'a [Box<dyn Participant>];
 
 /// Runs a session; `progress` is told now and then.

@@ -8,7 +8,7 @@ use crate::base::{Exit, Fault};
 use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
 
-/// Takes of one wish.
+/// Several takes with the same settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Series {
@@ -44,7 +44,7 @@ pub const TAKES_MAX: u32 = 99;
 pub const PAUSE_MAX_S: u32 = 3600;
 
 impl Series {
-    /// A single take.
+    /// A series of one take.
     pub fn single(wish: CaptureRequest) -> Self {
         Self { wish, takes: 1, pause_s: 0, number: false }
     }

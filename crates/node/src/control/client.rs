@@ -24,7 +24,7 @@ use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
 use tokio_rustls::rustls::{ClientConfig, RootCertStore, crypto};
 
-/// Where a node is.
+/// The address of a node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Place {
     Unix(PathBuf),
@@ -60,17 +60,14 @@ impl fmt::Debug for NodeClient {
 pub const TIMEOUT: Duration = Duration::from_secs(10);
 /// No answer of a node is longer.
 const ANSWER_BYTES_MAX: usize = 64 << 20;
-/// What Debian's `ca-certificates` makes.
+/// The system's certificates, as Debian's `ca-certificates` installs them.
 const SYSTEM_CA: &str = "/etc/ssl/certs/ca-certificates.crt";
 
 /// What a node answered, whatever its status.
 #[derive(Debug, Clone)]
 pub struct Answer {
-    /// HTTP status.
     pub status: StatusCode,
-    /// What the body is.
     pub content_type: Option<HeaderValue>,
-    /// The body.
     pub body: Bytes,
 }
 
@@ -112,17 +109,17 @@ impl NodeClient {
         }
     }
 
-    /// The URL.
+    /// The URL that the client was made for.
     pub fn url(&self) -> &str {
         &self.url
     }
 
-    /// The node's status.
+    /// The status of the node, as it last published it.
     pub fn status(&self) -> Result<NodeStatus, Fault> {
         self.get(path::STATUS)
     }
 
-    /// Asks for JSON.
+    /// Sends a GET request, and parses the JSON of the answer.
     pub fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Fault> {
         let answer = self.ask(Method::GET, path, None, TIMEOUT)?;
         if !answer.status.is_success() {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What both sides of the HTTP API speak: requests, commands, status, tokens and their proofs, and the client.
 
-/// Speaks to nodes.
+/// The client of other nodes' APIs.
 pub mod client;
 /// What the API asks of the node's thread.
 pub mod command;
@@ -11,5 +11,5 @@ pub mod proof;
 pub mod request;
 /// What a node says of itself.
 pub mod status;
-/// Secrets and their roles.
+/// Tokens: secrets, their hashes and roles.
 pub mod tokens;

@@ -11,7 +11,7 @@
 use super::tokens::SecretHash;
 use sha2::{Digest, Sha256};
 
-/// The scheme, in `Authorization`.
+/// The scheme of a proof in the `Authorization` header.
 pub const SCHEME: &str = "Proof ";
 /// With which the node shows that it knows the hash.
 pub const HEADER: &str = "fourdbody-proof";
@@ -23,11 +23,8 @@ const SECRET_BYTES_MAX: usize = 256;
 pub struct Asked<'a> {
     /// `HOST:PORT` of the node, as in the `Host` header.
     pub authority: &'a str,
-    /// The connection's.
     pub nonce: &'a str,
-    /// `GET`, `POST`.
     pub method: &'a str,
-    /// With its query.
     pub path: &'a str,
     /// Empty where there is none.
     pub body: &'a [u8],
@@ -41,7 +38,7 @@ impl Asked<'_> {
         format!("{}\n{authority}\n{}\n{}\n{body}", self.nonce, self.method, self.path)
     }
 
-    /// What follows [`SCHEME`].
+    /// The proof for this request, which follows [`SCHEME`] in the header.
     pub fn prove(&self, secret: &str) -> String {
         let masked = self.mask(&SecretHash::of(secret), secret.as_bytes());
         masked.iter().map(|byte| format!("{byte:02x}")).collect()
@@ -60,7 +57,7 @@ impl Asked<'_> {
         SecretHash::of(&secret).is(hash).then_some(secret)
     }
 
-    /// The value of [`HEADER`].
+    /// The value of [`HEADER`], by which the node proves that it knows the hash.
     pub fn answer(&self, hash: &SecretHash) -> String {
         let shown = hmac(hash.bytes(), format!("answer\n{}", self.text()).as_bytes());
         shown.iter().map(|byte| format!("{byte:02x}")).collect()

@@ -16,11 +16,11 @@ use std::path::Path;
 use std::str::FromStr;
 use subtle::ConstantTimeEq;
 
-/// What somebody may do.
+/// What the bearer of a token may do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
-    /// Look.
+    /// Read everything, and change nothing.
     View,
     /// Also prepare, start, stop and abort sessions.
     Operate,
@@ -67,17 +67,17 @@ impl SecretHash {
         Self::of_bytes(secret.as_bytes())
     }
 
-    /// The hash of anything.
+    /// The SHA-256 of any bytes.
     pub(crate) fn of_bytes(bytes: &[u8]) -> Self {
         Self(Sha256::digest(bytes).into())
     }
 
-    /// As a key.
+    /// The hash as the key of an HMAC.
     pub(crate) fn bytes(&self) -> &[u8; 32] {
         &self.0
     }
 
-    /// Compares in constant time.
+    /// Compares two hashes in constant time.
     pub fn is(&self, other: &Self) -> bool {
         self.0.ct_eq(&other.0).into()
     }
@@ -116,7 +116,6 @@ pub struct Token {
     pub name: String,
     /// What its bearer may do.
     pub role: Role,
-    /// Of the secret.
     pub hash: SecretHash,
 }
 
@@ -125,7 +124,7 @@ fn wrong(path: &Path, what: impl fmt::Display) -> Fault {
     Fault::new(Exit::Usage, format!("{}: {what}", path.display()))
 }
 
-/// A node's list.
+/// The list of a node's tokens.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct TokenList(pub Vec<Token>);
 

@@ -23,10 +23,10 @@ pub(super) struct Kept {
     stride: u64,
     /// Frames so far apart are not of one session, ns.
     apart_ns: u64,
-    /// By trigger, oldest first.
+    /// The last frame sets by trigger, oldest first.
     sets: VecDeque<Set>,
     wishes: Vec<Wish>,
-    /// Memory that came back.
+    /// Samples whose memory can be used again.
     spares: Vec<Sample>,
 }
 
@@ -81,7 +81,7 @@ impl Kept {
         self.spares.pop()
     }
 
-    /// Takes memory back.
+    /// Takes the memory of a sample back for the next one.
     pub(super) fn give_back(&mut self, sample: Option<Sample>) {
         self.spares.extend(sample.filter(|_| self.spares.len() < KEPT * self.wishes.len()));
     }

@@ -32,7 +32,7 @@ use std::time::{Duration, Instant};
 
 /// How often threads look for what is new.
 const POLL: Duration = Duration::from_millis(4);
-/// Without interest.
+/// Time between two looks while nobody requests the body.
 const REST: Duration = Duration::from_millis(100);
 /// A frame set lacks what another node has not told by then.
 const PEER_PATIENCE: Duration = Duration::from_millis(400);
@@ -55,7 +55,7 @@ pub struct Shown {
 pub struct Facts {
     /// Counts the frame sets of this node.
     pub number: u64,
-    /// Its trigger.
+    /// The index of its trigger.
     pub trigger: u64,
     /// How long ago its frames came, ms.
     pub age_ms: f64,
@@ -68,7 +68,6 @@ pub struct Facts {
 /// Another node, and what is taken from it.
 #[derive(Debug, Clone)]
 pub struct Peer {
-    /// How to ask it.
     pub client: NodeClient,
     /// Its cameras in the rig: it has no rows of any other.
     pub cameras: Vec<CameraId>,

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 /// Cameras agree on a master and set their clocks within this.
 const PTP_PATIENCE: Duration = Duration::from_secs(30);
-/// Between two looks.
+/// Time between two looks at the cameras' PTP status.
 const POLL: Duration = Duration::from_millis(250);
 /// Clocks that PTP keeps together differ by less, ns, besides what reading them leaves open.
 const APART_NS: i128 = 100_000;

@@ -44,7 +44,6 @@ enum Order {
     Probe,
     /// Its frames are in doubt: what does its clock say?
     ReadClock,
-    /// The session is over.
     Stop,
 }
 
@@ -52,19 +51,15 @@ enum Order {
 pub struct AttendantSetup {
     /// The camera, open and streaming.
     pub camera: OpenCamera,
-    /// Opens it again.
     pub backend: SharedBackend,
     /// How its stream is set up.
     pub options: StreamOptions,
     /// Its receiver's setup, for another one.
     pub receiver: ReceiverSetup,
-    /// Buffers of a stream.
+    /// Number of frame buffers that each stream gets.
     pub blocks: usize,
-    /// Where they come from.
     pub pool: Pool,
-    /// The recorder.
     pub to_recorder: Sender<RecorderCommand>,
-    /// The node.
     pub reports: Sender<Report>,
     /// The clock of all cameras, where this is the one by which it is known.
     pub ptp: Option<PtpClock>,
@@ -72,7 +67,8 @@ pub struct AttendantSetup {
     pub actions: Option<ActionTally>,
 }
 
-/// A running attendant.
+/// The running thread of one camera. The node starts it with the streams of a session and joins it when they are
+/// stopped; until then it owns the camera.
 pub struct CameraKeeper {
     orders: Sender<Order>,
     thread: JoinHandle<Returned>,
@@ -93,7 +89,7 @@ const READINGS: usize = RESET_RUN + 1;
 const SETTLE: Duration = Duration::from_millis(300);
 
 impl CameraKeeper {
-    /// Starts the thread.
+    /// Starts the thread, which owns the camera until it is joined.
     pub fn start(setup: AttendantSetup, receiver: Receiver) -> std::io::Result<Self> {
         let (orders, inbox) = bounded(8);
         let name = format!("attend-{}", setup.receiver.camera);
@@ -123,7 +119,7 @@ impl CameraKeeper {
         drop(self.orders.send(Order::Stop));
     }
 
-    /// Waits for its end.
+    /// Waits for the end of the thread, and returns the camera with its counters.
     pub fn join(self) -> Option<Returned> {
         self.thread.join().ok()
     }

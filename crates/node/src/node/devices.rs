@@ -111,9 +111,7 @@ pub struct PreparedCamera {
     pub id: CameraId,
     /// What its frames must be.
     pub contract: FrameContract,
-    /// Who it is.
     pub identity: CameraIdentity,
-    /// Settings as read back.
     pub settings: Vec<AppliedSetting>,
     /// What was found otherwise and mended, and what the camera rounded.
     pub told: Vec<String>,
@@ -140,7 +138,6 @@ pub struct Devices {
     pool: Pool,
     hsu: Option<Arc<Hsu>>,
     hsu_problem: Option<String>,
-    /// What fires the triggers.
     unit: TriggerUnit,
     config: NodeConfig,
     next_hsu_retry: Instant,
@@ -187,7 +184,7 @@ impl Devices {
         self.hsu.as_ref()
     }
 
-    /// What fires the triggers.
+    /// The HSU, or the action commands, that fire the triggers.
     pub fn unit(&self) -> &TriggerUnit {
         &self.unit
     }
@@ -488,7 +485,7 @@ impl Devices {
         counters
     }
 
-    /// For the status.
+    /// The state of every camera, in the configuration's order, for the node's status.
     pub fn camera_statuses(&self) -> Vec<CameraStatus> {
         let status = |slot: &OpenCamera| CameraStatus {
             id: slot.config.id.clone(),
@@ -500,7 +497,7 @@ impl Devices {
         self.slots.iter().map(status).collect()
     }
 
-    /// For the status.
+    /// The state of the link to the HSU, for the node's status.
     pub fn hsu_status(&self) -> HsuStatus {
         HsuStatus {
             device: self.config.trigger.device(),

@@ -15,21 +15,17 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// What it works with.
+/// Everything that the keeper of the link works with.
 pub struct LinkSetup {
     /// The link as it is at the start.
     pub hsu: Arc<Hsu>,
     /// What it is a link to.
     pub unit: TriggerUnit,
-    /// Who we are.
     pub node: NodeId,
     /// The session that is being recorded.
     pub session: SessionId,
-    /// The session's clock.
     pub clock: HostClock,
-    /// The recorder.
     pub to_recorder: Sender<RecorderCommand>,
-    /// The node.
     pub reports: Sender<Report>,
     /// Where a new link goes.
     pub back: Sender<Arc<Hsu>>,
@@ -44,7 +40,7 @@ enum Order {
     Stop,
 }
 
-/// A running keeper.
+/// The running thread that keeps the link to the HSU during one session.
 pub struct HsuKeeper {
     orders: Sender<Order>,
     thread: JoinHandle<()>,
@@ -59,7 +55,7 @@ const CODE_PATIENCE: Duration = Duration::from_secs(1);
 const RETRY_INTERVAL: Duration = Duration::from_millis(200);
 
 impl HsuKeeper {
-    /// Starts the thread.
+    /// Starts the thread, with the link that the session begins with.
     pub fn start(setup: LinkSetup) -> std::io::Result<Self> {
         let (orders, inbox) = bounded(8);
         let thread =
@@ -72,7 +68,7 @@ impl HsuKeeper {
         drop(self.orders.try_send(Order::Reconnect { next }));
     }
 
-    /// Ends it.
+    /// Records the last edges and time codes, and ends the thread.
     pub fn stop(self) {
         drop(self.orders.send(Order::Stop));
         if self.thread.join().is_err() {

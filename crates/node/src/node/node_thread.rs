@@ -28,7 +28,9 @@ use std::sync::{Arc, RwLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// The running node.
+/// The running node, as the program holds it. `fourdbody node` starts it with the node file and the camera library; it
+/// owns the devices and the session in progress. It publishes its status after every event, and ends a session in
+/// progress with a verdict before it ends itself.
 pub struct NodeThread {
     /// Where the API sends commands.
     pub commands: Sender<Command>,
@@ -48,7 +50,7 @@ const TICK: Duration = Duration::from_millis(100);
 const ASLEEP: Duration = Duration::from_secs(1);
 
 impl NodeThread {
-    /// Starts the node's thread.
+    /// Starts the node's thread, which opens the devices.
     pub fn start(config: NodeConfig, backend: Box<dyn CameraBackend>) -> std::io::Result<Self> {
         heap::give_large_blocks_back();
         realtime::configure(&config.realtime);

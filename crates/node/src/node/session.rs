@@ -47,7 +47,6 @@ pub(crate) struct Session {
     /// When a trigger was last reported.
     pub(crate) listened: Option<Instant>,
     pub(crate) outcome: Option<Outcome>,
-    /// Where Record was pressed.
     pub(crate) kept: Option<KeepRequest>,
     /// Frames that fit into the ring.
     pub(crate) ring_capacity: u64,

@@ -4,19 +4,16 @@
 /// Triggers that go by without anything heard before a camera counts as silent.
 pub const SILENT_TRIGGERS: u64 = 3;
 
-/// A change.
+/// A camera has stopped sending, or sends again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Notice {
     /// Nothing was heard of the camera for [`SILENT_TRIGGERS`] triggers.
     Silent {
-        /// Its place.
         camera: usize,
         /// The first of these triggers.
         since: u64,
     },
-    /// It is heard again.
     HeardAgain {
-        /// Its place.
         camera: usize,
         /// The trigger at which that was noticed.
         at: u64,
@@ -38,7 +35,7 @@ pub struct SilenceWatch {
 }
 
 impl SilenceWatch {
-    /// Nothing heard yet.
+    /// A watch of this many cameras, none of them silent.
     pub fn new(cameras: usize) -> Self {
         Self { ears: vec![Ear::default(); cameras] }
     }

@@ -17,15 +17,13 @@ const PERIODS: u32 = 10;
 const AT_MOST: Duration = Duration::from_secs(2);
 /// After a frame that nobody triggered the silence must be longer by this factor.
 const AFTER_A_FRAME: u32 = 4;
-/// Between two looks.
+/// Time between two looks at the packet counters.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// How a silence goes.
+/// What the counters show so far.
 #[derive(Debug, PartialEq, Eq)]
 enum Heard {
-    /// It is not over.
     Wait,
-    /// It was kept.
     Silence,
     /// By these cameras it was not.
     Loud(Vec<usize>),

@@ -19,7 +19,7 @@ use crate::base::{Exit, Fault};
 use crate::control::request::{Phase, SessionRequest};
 use std::time::Duration;
 
-/// What happened.
+/// What has happened to the session, its devices or its operator's requests.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Event {
     /// An operator asks for a session.
@@ -34,9 +34,7 @@ pub enum Event {
     Trigger,
     /// An operator wants to keep what is held, from a trigger of the train on.
     Keep {
-        /// The recording's trigger 0.
         first: u64,
-        /// Where Record was pressed.
         pressed: u64,
     },
     /// The HSU reports the end of the train.
@@ -46,7 +44,6 @@ pub enum Event {
     },
     /// The link to the HSU is lost, and is looked for: the train goes on meanwhile.
     LinkLost,
-    /// It is back.
     LinkBack,
     /// Every camera has an outcome for every trigger, or will not get one any more.
     Drained,
@@ -56,7 +53,6 @@ pub enum Event {
     Stop,
     /// An operator, or the other node's failure, gives the session up.
     Abort(String),
-    /// Time passes.
     Tick,
 }
 
@@ -65,7 +61,6 @@ pub enum Event {
 pub enum Action {
     /// Open what is not open, apply and read back settings, connect to the HSU.
     PrepareDevices,
-    /// Create the recording.
     CreateRecording,
     /// Start fresh streams on all cameras.
     StartStreams,
@@ -83,15 +78,12 @@ pub enum Action {
     StopTrain,
     /// Take this node's arming back.
     DisarmHsu,
-    /// Stop acquisition and streams.
     StopStreams,
     /// Remove the recording: no trigger was seen.
     DiscardRecording,
     /// Record what is held, and what comes.
     Keep {
-        /// The recording's trigger 0.
         first: u64,
-        /// Where Record was pressed.
         pressed: u64,
     },
     /// Wait for the frames of all triggers.
@@ -161,12 +153,12 @@ impl Machine {
         }
     }
 
-    /// Where it is.
+    /// The phase of the session that the node is in.
     pub fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// Whether triggers are expected.
+    /// Whether the HSU is expected to report triggers.
     pub fn train_runs(&self) -> bool {
         matches!(self.phase, Phase::Holding | Phase::Running)
     }

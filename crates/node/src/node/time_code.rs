@@ -41,7 +41,6 @@ pub struct TimeCodeKeeper {
     next: Option<u64>,
     /// Frames that were no good, when it was asked first and last.
     refused: Option<(u32, u32)>,
-    /// The last code.
     last: Option<HeardTimeCode>,
     /// It came at the last look.
     is_running: bool,
@@ -49,7 +48,6 @@ pub struct TimeCodeKeeper {
     is_told: bool,
     /// When the last one that was recorded began, HSU clock.
     told_ns: u64,
-    /// Runs so far.
     runs: u64,
     /// Why the unit gives none, where there was to be some.
     why_none: Option<String>,
@@ -92,7 +90,7 @@ impl TimeCodeKeeper {
         events
     }
 
-    /// The session has ended.
+    /// Ends the watch with the session: the last code, and what was missing.
     pub fn finish(&mut self, host_time_ns: u64) -> Vec<NodeEvent> {
         let mut events = Vec::new();
         self.tell_last(host_time_ns, &mut events);

@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 
 /// Points of a frame set at most.
 pub const POINTS_EACH: usize = 40_000;
-/// Questions that wait.
+/// Requests that may wait for the thread; a further one is refused.
 const WAITING_MAX: usize = 16;
 /// Bytes of answers that are kept for the next who asks.
 const KEPT_BYTES: usize = 64 << 20;
@@ -50,7 +50,6 @@ pub enum Wanted {
 /// What there is of it.
 #[derive(Debug)]
 pub enum Made {
-    /// This.
     Bytes(Arc<Vec<u8>>),
     /// Nothing, and there never will be.
     Nothing(String),
@@ -106,7 +105,7 @@ struct Maker {
     described: Described,
 }
 
-/// Ended when dropped.
+/// A process that is ended when this is dropped.
 struct Ending(Child);
 
 impl Drop for Ending {

@@ -9,7 +9,7 @@ use super::sequence::Described;
 use std::io::{self, BufRead, Read, Write};
 use std::path::Path;
 
-/// Bytes of an answer.
+/// Longest answer, bytes: a larger one is refused by both sides.
 pub const ANSWER_BYTES_MAX: usize = 8 << 20;
 
 /// What was made, or why nothing was.

@@ -12,15 +12,15 @@ use std::path::Path;
 
 /// Holes that are told of; those beyond are not.
 const HOLES_MAX: usize = 1000;
-/// Characters of a reason.
+/// Longest reason that is passed on, characters.
 const WHY_MAX: usize = 300;
 
 /// Triggers one after the other without a cloud, for the same reason.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Hole {
-    /// The first of them.
+    /// The first trigger of the run.
     pub first: u64,
-    /// The last of them.
+    /// The last trigger of the run.
     pub last: u64,
     /// Why there is no cloud.
     pub why: String,
@@ -29,7 +29,7 @@ pub struct Hole {
 /// What a player must know before it asks for a frame set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Described {
-    /// Triggers per second.
+    /// Triggers a second, by the result's own times where it has some.
     pub trigger_rate_hz: f64,
     /// Points that a frame set has at most.
     pub points_each: usize,

@@ -7,7 +7,7 @@ use crate::telemetry::Grade;
 use crate::telemetry::thresholds::{LIT, MODULATION, SATURATED};
 use serde::{Deserialize, Serialize};
 
-/// Light of one frame.
+/// The light of one frame, in figures.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Light {
     /// Share of the lit pixels that are saturated (255), 0 to 1.

@@ -44,12 +44,10 @@ impl Interest {
     }
 }
 
-/// One camera's picture.
+/// One camera's newest picture, as PNG with its figures.
 #[derive(Debug, Clone)]
 pub struct Picture {
-    /// Counts this camera's pictures.
     pub number: u64,
-    /// Of which trigger.
     pub trigger: u64,
     /// When the frame arrived, host clock, ns.
     pub host_time_ns: u64,
@@ -62,22 +60,22 @@ pub struct Picture {
 /// What is told of a picture beside it.
 #[derive(Debug, Clone, Serialize, utoipa::ToSchema)]
 pub struct PictureFacts {
-    /// The camera.
+    /// The name of the camera in the rig.
     #[schema(value_type = String)]
     pub camera: CameraId,
     /// See [`Picture::number`]; 0: there is none yet.
     pub number: u64,
-    /// Of which trigger.
+    /// The index of the frame's trigger.
     pub trigger: u64,
     /// How long ago the frame arrived, s.
     pub age_s: f64,
-    /// Its light.
+    /// The light of the frame; none before the first picture.
     pub light: Option<Light>,
-    /// How good that is.
+    /// The grades of that light.
     pub grades: Option<LightGrades>,
 }
 
-/// Renders previews.
+/// Renders the cameras' pictures on a thread of low priority.
 #[derive(Clone)]
 pub struct Previews {
     shared: Arc<Shared>,

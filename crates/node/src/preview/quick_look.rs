@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 pub const POINTS_MAX: usize = 80_000;
 /// Bytes of a point: see [`encode`].
 pub const POINT_BYTES: usize = 12;
-/// Looks that are kept.
+/// Number of quick looks that stay in memory.
 const KEPT: usize = 4;
 const POLL: Duration = Duration::from_millis(50);
 
@@ -35,28 +35,28 @@ pub enum Progress {
     /// Nobody has asked for it.
     #[default]
     NotAsked,
-    /// Under way.
+    /// The reconstruction of the frame sets runs.
     Working {
         /// Frame sets that are ready.
         done: usize,
-        /// Of so many.
+        /// Number of frame sets of this look.
         of: usize,
     },
-    /// Ready.
+    /// All clouds can be fetched.
     Ready,
     /// The next session came first; it can be asked for again.
     GaveWay,
-    /// It did not work.
+    /// No cloud could be made.
     Failed {
-        /// Why.
+        /// Why it could not be made.
         reason: String,
     },
 }
 
-/// A session's look.
+/// The quick look at a session.
 #[derive(Debug, Clone, Default, Serialize, utoipa::ToSchema)]
 pub struct Look {
-    /// How far it is.
+    /// How far the quick look is.
     #[serde(flatten)]
     pub progress: Progress,
     /// The triggers whose clouds are ready.

@@ -19,10 +19,9 @@ pub mod results;
 use std::fmt;
 use std::path::Path;
 
-/// Where objects are: `s3://BUCKET/PREFIX`.
+/// The place of objects in a store: `s3://BUCKET/PREFIX`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Location {
-    /// The bucket.
     pub bucket: String,
     /// Begins all names, without a slash at either end; may be empty.
     pub prefix: String,

@@ -28,12 +28,12 @@ const ANSWER: Duration = Duration::from_secs(120);
 /// Files are sent and fetched in pieces of this size, bytes; what is smaller is one object put at once.
 const PIECE: u64 = 16 << 20;
 
-/// An object.
+/// The name and size of a stored object.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Object {
     /// Its name below the location.
     pub name: String,
-    /// Bytes.
+    /// Size of the object in bytes.
     pub size: u64,
 }
 
@@ -46,7 +46,7 @@ pub struct Remote {
 }
 
 impl Remote {
-    /// Opens no connection yet.
+    /// A client for this location; no connection is opened yet.
     pub fn new(location: Location) -> Result<Self, String> {
         let failed = |e: &dyn std::fmt::Display| format!("{location}: {e}");
         let retry = RetryConfig {
@@ -67,7 +67,7 @@ impl Remote {
         Ok(Self { location, store, runtime })
     }
 
-    /// Where its objects are.
+    /// The location that all names are relative to.
     pub fn location(&self) -> &Location {
         &self.location
     }
@@ -101,7 +101,7 @@ impl Remote {
         ))
     }
 
-    /// Bytes of an object.
+    /// Reads a range of an object's bytes.
     pub fn read(&self, name: &str, range: Range<u64>) -> Result<Vec<u8>, String> {
         let path = self.path(name)?;
         let expected = range.end.saturating_sub(range.start);

@@ -80,7 +80,7 @@ impl Uploader {
         Ok(Self { files, stop, thread: Some(thread) })
     }
 
-    /// Sends what is left.
+    /// Sends the files that are left, and ends the thread.
     pub fn finish(mut self) -> Result<(), String> {
         self.stop.store(true, Ordering::Release);
         let mut sent = self.thread.take().and_then(|thread| thread.join().ok()).unwrap_or_default();

@@ -13,9 +13,9 @@ use utoipa::ToSchema;
 pub enum Kind {
     /// Grows; begins anew with each session or process.
     Counter,
-    /// Goes up and down.
+    /// A value that goes up and down.
     Gauge,
-    /// Durations in classes.
+    /// Durations, counted in classes of their length.
     Histogram,
 }
 
@@ -25,14 +25,14 @@ impl fmt::Display for Kind {
     }
 }
 
-/// Numbers of one name.
+/// All values of one metric, one for each combination of labels.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Family {
     /// With its unit at the end, as Prometheus names things.
     pub name: String,
-    /// What it is.
+    /// What the metric measures, in one sentence.
     pub help: String,
-    /// Of what kind.
+    /// Whether it is a counter, a gauge or a histogram.
     pub kind: Kind,
     /// One for each combination of labels.
     pub samples: Vec<Sample>,
@@ -41,16 +41,16 @@ pub struct Family {
 /// One number, or one histogram.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Sample {
-    /// What it is of.
+    /// Labels and their values, such as the camera's name.
     pub labels: BTreeMap<String, String>,
     /// The number; of a histogram, how many durations were counted.
     pub value: f64,
-    /// Of a histogram.
+    /// The classes of a histogram; none for counters and gauges.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distribution: Option<Distribution>,
 }
 
-/// Durations in cumulative classes.
+/// Durations, counted in cumulative classes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Distribution {
     /// Up to so long, s, and how many there were; each includes the ones before.
@@ -59,10 +59,10 @@ pub struct Distribution {
     pub sum: f64,
 }
 
-/// One class.
+/// One class of a histogram, which includes all shorter ones.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Bucket {
-    /// The upper bound, s.
+    /// The upper bound of the class, s.
     pub le: f64,
     /// How many were not longer.
     pub count: u64,
@@ -72,13 +72,13 @@ pub struct Bucket {
 const EXPONENTS: std::ops::RangeInclusive<u32> = 8..=24;
 
 impl Sample {
-    /// A number with labels.
+    /// A single value with its labels.
     pub fn new(labels: &[(&str, &str)], value: f64) -> Self {
         let labels = labels.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
         Self { labels, value, distribution: None }
     }
 
-    /// A histogram with labels.
+    /// The classes of a histogram, with labels.
     pub fn of(labels: &[(&str, &str)], histogram: &Histogram) -> Self {
         let counts = histogram.below_powers_of_two(EXPONENTS);
         let bucket = |(exponent, count)| Bucket { le: f64::from(exponent).exp2() / 1e6, count };

@@ -32,7 +32,6 @@ pub struct Telemetry {
 /// The session in progress, or the last one.
 #[derive(Debug, Clone)]
 pub struct Current {
-    /// What the recorder counts.
     pub progress: Arc<Progress>,
     /// What the writer counts; none in a dry run.
     pub disk: Option<Arc<DiskProgress>>,
@@ -63,20 +62,20 @@ impl NodeFacts {
 }
 
 impl Telemetry {
-    /// A session begins.
+    /// Counts a session that begins, and shows its counters from now on.
     pub fn begin(&self, current: Current) {
         self.sessions.fetch_add(1, Ordering::Relaxed);
         *lock(&self.current) = Some(current);
     }
 
-    /// Its recording was created.
+    /// Adds the counters of the session's recording, once it was created.
     pub fn recording(&self, disk: Arc<DiskProgress>) {
         if let Some(current) = lock(&self.current).as_mut() {
             current.disk = Some(disk);
         }
     }
 
-    /// Cameras were set up.
+    /// Stores the settings that a camera read back when it was set up.
     pub fn applied(&self, camera: &CameraId, settings: Vec<AppliedSetting>) {
         lock(&self.applied).insert(camera.clone(), settings);
     }
@@ -111,7 +110,7 @@ impl Telemetry {
         judged
     }
 
-    /// All metrics.
+    /// All metrics of the node, and of the session in progress or the last one.
     pub fn metrics(&self, facts: &NodeFacts) -> Vec<Family> {
         let flag = |usable: bool| f64::from(u8::from(usable));
         let cameras =

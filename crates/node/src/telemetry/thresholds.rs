@@ -8,9 +8,9 @@ use utoipa::ToSchema;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Grade {
-    /// As it should be.
+    /// The value is as it should be.
     Good,
-    /// Neither good nor bad.
+    /// The value lies between the two bounds.
     Fair,
     /// Frames are lost, or soon will be.
     Bad,
@@ -55,7 +55,7 @@ pub const DISK_TIME_LEFT: Threshold = Threshold {
     bad: 60.0,
     meaning: "seconds of capture that the disk still holds, above its reserve",
 };
-/// Missing frames.
+/// Share of the frames that have a gap record in their place.
 pub const FRAMES_MISSING: Threshold = Threshold {
     name: "frames_missing",
     unit: "%",
@@ -71,7 +71,7 @@ pub const RING_HIGH_WATER: Threshold = Threshold {
     bad: 75.0,
     meaning: "the fullest that the ring before the writer was in this session; full means lost frames",
 };
-/// Last packet to match.
+/// Time from a frame's last packet until its trigger is known.
 pub const MATCH_P99: Threshold = Threshold {
     name: "match_p99",
     unit: "ms",
@@ -79,7 +79,7 @@ pub const MATCH_P99: Threshold = Threshold {
     bad: 250.0,
     meaning: "from a frame's last packet until its trigger is known, for 99 of 100 frames",
 };
-/// Match to write.
+/// Time in the ring until the writer has taken the frame.
 pub const WRITE_P99: Threshold = Threshold {
     name: "write_p99",
     unit: "ms",
@@ -87,7 +87,7 @@ pub const WRITE_P99: Threshold = Threshold {
     bad: 300.0,
     meaning: "in the ring until the writer had taken the frame, for 99 of 100 frames; the ring holds 400 ms at 120 Hz",
 };
-/// Write to durable.
+/// Time from the writer until the frame survives a power cut.
 pub const DURABLE_P99: Threshold = Threshold {
     name: "durable_p99",
     unit: "ms",
@@ -104,7 +104,7 @@ pub const SATURATED: Threshold = Threshold {
     bad: 1.0,
     meaning: "share of a camera's lit pixels that are saturated: a cut fringe has no phase",
 };
-/// Amplitude of the fringes.
+/// Median amplitude of the fringes in a picture.
 pub const MODULATION: Threshold = Threshold {
     name: "modulation",
     unit: "DN",
@@ -136,20 +136,20 @@ pub const ALL: [Threshold; 11] = [
     LIT,
 ];
 
-/// A value, judged.
+/// A measured value with its threshold and grade.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Judgement {
-    /// The threshold's name.
+    /// The name of the threshold, such as `ring_high_water`.
     pub name: String,
     /// Of the value and both bounds.
     pub unit: String,
-    /// What was measured.
+    /// The measured value, in `unit`.
     pub value: f64,
     /// Good up to here (or from here on, where more is better).
     pub good: f64,
     /// Bad from here on (or up to here).
     pub bad: f64,
-    /// What that makes it.
+    /// The grade of the value by these bounds.
     pub grade: Grade,
     /// What is measured, and what follows when it is bad.
     pub meaning: String,
@@ -169,7 +169,7 @@ impl Threshold {
         }
     }
 
-    /// Judges a value.
+    /// Grades a value, and returns it with its bounds.
     pub fn judge(&self, value: f64) -> Judgement {
         Judgement {
             name: self.name.to_owned(),

@@ -13,7 +13,6 @@ const KNOWN_MAX: usize = 1000;
 /// A session whose clouds are there.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Done {
-    /// The session's name.
     pub session: String,
     /// The id that its recordings share.
     pub session_id: String,
@@ -61,7 +60,7 @@ impl DoneSessions {
         self.known.get(session)?.1.as_ref()
     }
 
-    /// Those that are done.
+    /// All sessions whose clouds are complete.
     pub fn all(&self) -> impl Iterator<Item = &Done> {
         self.known.values().filter_map(|(_, done)| done.as_ref())
     }

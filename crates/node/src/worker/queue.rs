@@ -13,13 +13,11 @@ use std::time::UNIX_EPOCH;
 /// A session whose recordings can be worked on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Found {
-    /// Its name.
     pub name: String,
     /// The id that its recordings share.
     pub session_id: String,
     /// When it was begun, host clock, ns.
     pub created_ns: u64,
-    /// Its triggers.
     pub triggers: u64,
     /// Frames of all nodes, as the verdicts count them.
     pub frames: u64,
@@ -27,7 +25,7 @@ pub struct Found {
     pub parts: Vec<PathBuf>,
 }
 
-/// What there is.
+/// All recorded sessions, sorted by what is left to do for them.
 #[derive(Debug, Default)]
 pub struct Inventory {
     /// Sessions with something to do, in the order in which they come.
@@ -36,7 +34,6 @@ pub struct Inventory {
     pub not_yet: Vec<(String, String)>,
     /// How many of these wait only for their next attempt.
     pub retries: u64,
-    /// Sessions that are done.
     pub done: u64,
     /// Sessions that were set aside, each with the reason.
     pub set_aside: Vec<(String, String)>,

@@ -19,11 +19,9 @@ pub const SHARE_OF_LIT: f64 = 0.99;
 /// Whether a session's recordings may be deleted.
 #[derive(Debug, Serialize)]
 pub struct Judgement {
-    /// The session.
     pub session: String,
-    /// Its recordings.
     pub parts: Vec<PathBuf>,
-    /// Their size, bytes.
+    /// Size of all its recordings together, bytes.
     pub bytes: u64,
     /// Why they must stay; nothing: they may go.
     pub stays: Vec<String>,

@@ -21,7 +21,7 @@ pub enum Stage {
     Verifying,
     /// They are verified; clouds are being made.
     Reconstructing,
-    /// Everything is there.
+    /// All clouds of the session are made.
     Done,
     /// It is not tried again unless somebody asks for it.
     SetAside,
@@ -31,17 +31,17 @@ pub enum Stage {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(default)]
 pub struct Job {
-    /// The session's name.
+    /// The name of the session.
     pub session: String,
     /// The id that its recordings share.
     pub session_id: String,
-    /// How far it is.
+    /// The step that the session has reached.
     pub stage: Stage,
     /// Frame sets that are ready.
     pub done: u64,
-    /// Of so many.
+    /// Frame sets of the whole session.
     pub of: u64,
-    /// Failures so far.
+    /// Number of failed attempts so far.
     pub attempts: u32,
     /// Why the last attempt failed, or why it was set aside.
     pub reason: Option<String>,
@@ -70,7 +70,7 @@ impl Job {
         matches!(self.stage, Stage::Done | Stage::SetAside)
     }
 
-    /// Where it is kept.
+    /// The file in which a session's job is stored.
     pub fn path(results: &Path, session: &str) -> PathBuf {
         results.join(session).join("job.json")
     }
@@ -80,27 +80,27 @@ impl Job {
         load(&Self::path(results, session))
     }
 
-    /// Keeps it.
+    /// Writes the job to its file, whole or not at all.
     pub fn store(&self, results: &Path) -> io::Result<()> {
         let text = serde_json::to_string_pretty(self)?;
         write_whole(&Self::path(results, &self.session), |file| file.write_all(text.as_bytes()))
     }
 }
 
-/// What the worker does.
+/// What the worker is doing now.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Activity {
     /// There is nothing to do.
     #[default]
     Idle,
-    /// On a session.
+    /// It works on a session.
     Working,
     /// A node is in a session.
     GivesWay,
     /// For something that is not a session's fault; `reason` says what.
     Waiting,
-    /// It has ended.
+    /// The worker's process has ended.
     Ended,
 }
 
@@ -108,7 +108,7 @@ pub enum Activity {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(default)]
 pub struct WorkerState {
-    /// In one word.
+    /// What the worker is doing, in one word.
     pub activity: Activity,
     /// What it waits for, or gives way to.
     pub reason: Option<String>,
@@ -118,7 +118,7 @@ pub struct WorkerState {
     pub queued: Vec<String>,
     /// Sessions that cannot yet, each with the reason.
     pub not_yet: Vec<(String, String)>,
-    /// Sessions that are done.
+    /// Number of sessions whose clouds are complete.
     pub done: u64,
     /// Sessions that were set aside, each with the reason.
     pub set_aside: Vec<(String, String)>,
@@ -132,7 +132,7 @@ impl WorkerState {
         load(&results.join(OWN_DIR).join("state.json"))
     }
 
-    /// Says it.
+    /// Writes the state for the node and for `fourdbody worker --status`.
     pub fn store(&self, results: &Path) -> io::Result<()> {
         let text = serde_json::to_string_pretty(self)?;
         // It is written every second, and nobody asks for it after a power cut.
@@ -145,7 +145,7 @@ impl WorkerState {
         self.activity != Activity::Ended && host_time_ns().saturating_sub(self.written_ns) > SILENT_NS
     }
 
-    /// For people.
+    /// The state as one line, for the console and `status`.
     pub fn line(&self) -> String {
         let job = self.job.as_ref().map_or_else(String::new, |job| {
             let what = match job.stage {

@@ -13,7 +13,7 @@ const POLL: Duration = Duration::from_millis(50);
 /// Of what the process has said, so much is told, bytes.
 const TOLD: usize = 600;
 
-/// How a process ended.
+/// How a process of the worker came to its end.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Ended {
     /// By itself, with this exit code; `None`: by a signal.

@@ -67,7 +67,7 @@ async fn waited<T>(
     }
 }
 
-/// Which frame set.
+/// Which frame set the client has already.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 struct After {

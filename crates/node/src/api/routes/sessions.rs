@@ -34,7 +34,7 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(get_calibration_plot))
 }
 
-/// Which sessions.
+/// Which of the recordings are listed.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 struct Choice {
@@ -68,7 +68,7 @@ async fn get_sessions(
     Ok(bytes("application/json", listed))
 }
 
-/// One recording.
+/// One recording of this node.
 #[utoipa::path(get, path = path::SESSION, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
     responses(
         (status = 200, description = "The recording.", body = CatalogueEntry),
