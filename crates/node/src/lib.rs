@@ -28,7 +28,7 @@ pub mod preview;
 pub mod report;
 /// Recordings and results in an object store.
 pub mod s3;
-/// What the service manager is told.
+/// Readiness, status and watchdog of the service manager.
 pub mod systemd;
 /// What a running node counts: metrics, and thresholds that judge them.
 pub mod telemetry;

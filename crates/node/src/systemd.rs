@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the service manager is told of a node: that it is ready, how it does, and that its data path moves.
+//! Reports to the service manager: that the node is ready, how it is, and that its data path moves.
 //!
-//! Ready means that every camera and the HSU link are verified. The watchdog is fed by counters that the threads of the data
-//! path themselves drive, never by a timer alone: a thread that hangs lets the watchdog bite. See systemd/.
+//! Ready means that every camera and the HSU link are verified. The watchdog is fed by counters that the threads of
+//! the data path themselves drive, never by a timer alone: a thread that hangs lets the watchdog expire. See systemd/.
 
 use crate::control::request::Phase;
 use crate::control::status::{NodeStatus, Outcome};
@@ -31,7 +31,7 @@ fn moved(before: &[u64], now: &[u64]) -> bool {
     before.len() != now.len() || before.iter().zip(now).all(|(before, now)| before != now)
 }
 
-/// Tells the service manager until it is dropped.
+/// The thread that reports to the service manager; it ends when this is dropped.
 #[derive(Debug)]
 pub struct Notifier {
     ended: Arc<AtomicBool>,

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The audit log: a line of JSON for every change of state, durable before it is answered, and for refusals, rarely.
 //!
-//! A thread of its own writes, so that a slow disk keeps no request but the one whose line it is, and that one only
-//! for [`PATIENCE`]. What cannot be written is told in the log and in the status; it stops nothing, because a session
-//! that cannot be stopped is worse than a line that is missing.
+//! A thread of its own writes, so that a slow disk delays only the request whose line it is, and that one only for
+//! [`PATIENCE`]. A line that cannot be written is reported in the log and in the status; it stops nothing, because a
+//! session that cannot be stopped is worse than a missing line.
 
 use super::Shared;
 use super::auth::{Caller, only_looks, what_of};
@@ -31,7 +31,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
-/// An answer waits so long for its line.
+/// Longest time that an answer waits for its line.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Lines that wait for the disk.
 const WAITING_MAX: usize = 256;
@@ -47,7 +47,7 @@ const REFUSAL_LINES: Rate = Rate { per_second: 0.2, burst: 20.0 };
 pub struct AuditLine {
     /// When, CLOCK_REALTIME (UTC), ns since 1970.
     pub host_time_ns: u64,
-    /// The node that was asked.
+    /// The node that received the request.
     pub node: String,
     /// Who: a token's name, `uid N`, or an address.
     pub who: String,
@@ -57,9 +57,9 @@ pub struct AuditLine {
     pub via: Option<Via>,
     /// From where: an address, or `uid N` of the Unix socket.
     pub from: String,
-    /// What was asked for, such as `POST /api/v1/session/start`.
+    /// Method and path, such as `POST /api/v1/session/start`.
     pub what: String,
-    /// What was asked for in it, without secrets.
+    /// The body of the request, without secrets.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request: Option<serde_json::Value>,
     /// The session that it concerned, in hexadecimal.
@@ -115,7 +115,7 @@ impl Audit {
         }
     }
 
-    /// A line for something that no request asked for, such as a signal; does not wait.
+    /// A line for an event without a request, such as a signal; does not wait.
     pub fn event(&self, what: &str, session: Option<&SessionStatus>) {
         let mut line = self.line("fourdbody", "this process", what.to_owned());
         line.concerns(session);
@@ -124,7 +124,7 @@ impl Audit {
 
     /// Notes a refusal; every one counts, some get a line.
     pub(super) fn refused(&self, link: &Link, caller: Option<&Caller>, what: &str, status: StatusCode) {
-        // One bucket for all: whoever floods it must not fill the disk from many addresses.
+        // One bucket for all: a flood must not fill the disk from many addresses.
         if self.refusals.take(Key::User(0), Instant::now()).is_err() {
             self.unlisted.fetch_add(1, Ordering::Relaxed);
             return;
@@ -155,7 +155,7 @@ impl Audit {
 }
 
 impl AuditLine {
-    /// Says at which trigger of which session something happened.
+    /// Adds session and trigger at which something happened.
     fn concerns(&mut self, session: Option<&SessionStatus>) {
         if let Some(session) = session {
             self.session_id = Some(format!("{:016x}", session.session_id));
@@ -185,7 +185,7 @@ pub(super) async fn audited(State(shared): State<Shared>, request: Request, next
     // On a task of its own: a client that goes away while it waits takes neither the request nor its line along.
     let work = async move {
         let response = next.run(request).await;
-        // Whoever logs in is known by the answer only.
+        // The caller of a login is known by the answer only.
         let caller = caller.or_else(|| response.extensions().get::<Caller>().cloned());
         write_down(&shared, &link, caller, what, sent, response.status()).await;
         response
@@ -260,7 +260,7 @@ impl Log {
                 self.open = None;
             }
             self.note(log_result(result, &self.path));
-            // Nobody may be waiting any more.
+            // The request may have given up waiting.
             for done in lines.into_iter().filter_map(|(_, done)| done) {
                 let _ = done.send(());
             }

@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Whoever sent a request; a request that reaches a handler carries it as an extension.
+/// The sender of a request; a request that reaches a handler carries it as an extension.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Caller {
     /// The token's name, or `uid N` of the Unix socket, or the address.
@@ -107,7 +107,7 @@ impl Auth {
         self.tokens.is_some()
     }
 
-    /// Why the token file cannot be used now; then nobody gets in by a token.
+    /// Why the token file cannot be used now; then every token is refused.
     pub fn warning(&self) -> Option<String> {
         let tokens = self.tokens.as_ref()?;
         tokens.current();
@@ -120,7 +120,7 @@ impl Auth {
         list.bearer(secret).map(|token| (token.name.clone(), token.role))
     }
 
-    /// Counts a refusal; or says that there were too many.
+    /// Counts a refusal; the answer is another one where there were too many.
     pub(super) fn refused(&self, link: &Link) -> Refusal {
         match self.refusals.take(link.key(), Instant::now()) {
             Ok(()) => unauthenticated(),
@@ -128,7 +128,7 @@ impl Auth {
         }
     }
 
-    /// The same for a login, in the words of somebody who has typed a token.
+    /// The same for a login, in words for a person who has typed a token.
     pub(super) fn refused_login(&self, link: &Link) -> Refusal {
         let refusal = self.refused(link);
         if refusal.status != StatusCode::UNAUTHORIZED {
@@ -164,7 +164,7 @@ impl Auth {
     fn identify_plainly(&self, link: &Link, headers: &HeaderMap, cookie: &str) -> Option<Caller> {
         let token = |name: String, role, via| Caller { key: Key::Token(name.clone()), name, role, via };
         if let Some(tokens) = &self.tokens {
-            // Whoever shows a token is judged by it, wherever they come from.
+            // A request with a token is judged by it, wherever it comes from.
             if let Some(shown) = headers.get(header::AUTHORIZATION) {
                 let secret = shown.to_str().ok().and_then(|text| text.strip_prefix("Bearer "))?;
                 let (name, role) = self.bearer(secret.trim())?;
@@ -193,7 +193,8 @@ impl Auth {
 }
 
 impl Tokens {
-    /// The list, read again when the file has changed. One that cannot be read is no list: nobody gets in.
+    /// The list, read again when the file has changed. A file that cannot be read is an empty list: every token is
+    /// refused.
     fn current(&self) -> Arc<TokenList> {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         if known.looked.elapsed() < LOOK_INTERVAL {
@@ -258,7 +259,7 @@ pub(super) async fn authenticate(State(shared): State<Shared>, mut request: Requ
     let Some(link) = request.extensions().get::<Link>().copied() else {
         return unauthenticated().into_response();
     };
-    // Not counted: whoever floods it from an address must not keep others there from showing who they are.
+    // Not counted: a flood from an address must not keep other clients there from authenticating.
     if request.uri().path() == path::CHALLENGE {
         return next.run(request).await;
     }

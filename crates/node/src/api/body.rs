@@ -33,7 +33,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Body<T> {
     }
 }
 
-/// The body of a request that has nothing to say: none, or an object without fields.
+/// The body of a request without arguments: none, or an object without fields.
 pub struct NoBody;
 
 #[derive(Deserialize)]

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Who may hold connections, and how many.
 //!
-//! A connection begins as a stranger's. Strangers have a share of their own: a new one is always let in, and closes the
-//! oldest of the address that has most of them. The first request that shows who asks moves the connection to the known
-//! ones. So idle connections keep nobody out who has a token, however many they are.
+//! A connection begins as a stranger's. Strangers have a share of their own: a new one is always accepted, and closes
+//! the oldest of the address that has most of them. The first request with a valid token moves the connection to the
+//! known ones. So idle connections, however many, keep no client out that has a token.
 
 use super::limits::{
     CONNECTIONS_MAX, CONNECTIONS_OF_ONE_MAX, Key, LOOKERS_MAX, STRANGERS_MAX, STRANGERS_OF_ONE_MAX,
@@ -134,7 +134,7 @@ impl Admitted {
         self.evicted.notified().await;
     }
 
-    /// What its requests are told.
+    /// The view of the connection that its requests receive.
     pub fn standing(&self) -> Standing {
         let (number, connections) = (self.number, self.connections.clone());
         Standing { number, connections, nonce: Arc::clone(&self.nonce) }

@@ -87,7 +87,7 @@ fn is_json(response: &Response) -> bool {
     kind.is_some_and(|kind| kind.starts_with("application/json"))
 }
 
-/// What axum refuses by itself (a path's part, a query) is said in the same way as everything else.
+/// What axum refuses by itself (a path's part, a query) is answered in the same form as everything else.
 async fn as_fault(response: Response) -> Response {
     const TEXT_BYTES_MAX: usize = 4096;
     let status = response.status();
@@ -146,7 +146,7 @@ fn check_host(names: &Names, link: &Link, request: &Request) -> Result<(), Refus
     Err(Refusal::new(StatusCode::MISDIRECTED_REQUEST, message))
 }
 
-/// A page of somebody else's must neither change nor read anything.
+/// A page of another site must neither change nor read anything.
 fn check_origin(shared: &Shared, link: &Link, request: &Request) -> Result<(), Refusal> {
     let headers = request.headers();
     let refused = |message: String| Err(Refusal::new(StatusCode::FORBIDDEN, message));
@@ -155,7 +155,7 @@ fn check_origin(shared: &Shared, link: &Link, request: &Request) -> Result<(), R
     if let Some(origin) = text(&header::ORIGIN) {
         let authority = origin.split_once("://").filter(|(scheme, _)| matches!(*scheme, "http" | "https"));
         let ours = authority.is_some_and(|(_, authority)| shared.names.are(authority));
-        // An origin of ours is the one that was asked: two names of a node are two origins.
+        // An origin of ours equals the Host of the request: two names of a node are two origins.
         let same = text(&header::HOST)
             .is_some_and(|host| authority.is_some_and(|(_, a)| a.eq_ignore_ascii_case(host)));
         if origins.len() > 1 || !ours || !same || matches!(link, Link::Unix { .. }) {

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 pub const HEADER: Duration = Duration::from_secs(5);
 /// And its whole body after this long.
 pub const BODY: Duration = Duration::from_secs(5);
-/// A client that reads nothing for so long is given up.
+/// A client that reads nothing for this time is disconnected.
 pub const STALL: Duration = Duration::from_secs(5);
 /// Bytes of a request's body.
 pub const BODY_BYTES_MAX: usize = 64 << 10;
@@ -30,7 +30,7 @@ pub const STRANGERS_MAX: usize = 64;
 pub const STRANGERS_OF_ONE_MAX: usize = 32;
 /// Requests of one caller: how many a second, and how many at once after a pause.
 pub const REQUESTS: Rate = Rate { per_second: 200.0, burst: 400.0 };
-/// Requests of one client that were refused for want of authentication, before it is told to come back later.
+/// Requests of one client that fail to authenticate, before it gets the answer to come back later.
 pub const REFUSALS: Rate = Rate { per_second: 1.0, burst: 20.0 };
 
 /// The client that a request counts against.
@@ -69,7 +69,7 @@ pub struct Buckets {
     left: Mutex<HashMap<Key, (f64, Instant)>>,
 }
 
-/// Clients that are counted at the same time; beyond, those who have asked for nothing lately are forgotten.
+/// Clients that are counted at the same time; beyond, those without recent requests are forgotten.
 const CLIENTS_MAX: usize = 1024;
 
 impl Buckets {
@@ -78,7 +78,7 @@ impl Buckets {
         Self { rate, left: Mutex::default() }
     }
 
-    /// Counts a request at `now`; or says how long to wait.
+    /// Counts a request at `now`; or returns how long to wait.
     pub fn take(&self, key: Key, now: Instant) -> Result<(), Duration> {
         let Rate { per_second, burst } = self.rate;
         let filled = |(left, since): &(f64, Instant)| {

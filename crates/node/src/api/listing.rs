@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The list of a node's recordings, kept in memory: to look at it costs a recording under way no frame.
+//! The list of a node's recordings, kept in memory: reading it costs a recording under way no frame.
 //!
-//! One thread, which runs when nobody else wants the processor, looks at the disk. It reads a recording when it is new
-//! or has changed, and never for whoever asks. Requests wait in a queue of a stated length; those that came meanwhile are
-//! answered by one look.
+//! One thread at idle priority reads the disk. It reads a recording when it is new or has changed, and never for a
+//! single request. Requests wait in a queue of a stated length; those that wait together are answered by one look.
 
 use crate::base::ids::NodeId;
 use crate::base::{Exit, Fault};
@@ -24,7 +23,7 @@ const WAITING_MAX: usize = 64;
 /// Between two looks at the disk.
 const PAUSE: Duration = Duration::from_millis(250);
 
-/// A request, which answers by itself: whoever sent it may be gone.
+/// A request, which sends its own answer: the client may be gone.
 type Request = Box<dyn FnOnce(&Index) + Send>;
 
 /// Asks the thread; it ends when the last of these is dropped.
@@ -88,7 +87,7 @@ impl Listing {
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Stamp {
     made: SystemTime,
-    /// When somebody last said what they think of it.
+    /// When the remark was last written.
     remarked: Option<SystemTime>,
     /// Of the files, while it is not closed.
     bytes: u64,
@@ -182,7 +181,7 @@ fn stamp(dir: &Path, made: SystemTime, remarked: Option<SystemTime>) -> Stamp {
     Stamp { made, remarked, bytes, written: files.iter().filter_map(|file| file.modified().ok()).max() }
 }
 
-/// From now on this thread has what nobody else wants.
+/// Puts this thread at idle priority.
 fn idle() {
     let parameters = libc::sched_param { sched_priority: 0 };
     // SAFETY: the parameters are valid during the call, and 0 is the calling thread.

@@ -6,7 +6,7 @@ use std::io;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// A login ends after so long, whatever happens.
+/// A login ends after this time in any case: a working day.
 pub const LIFETIME: Duration = Duration::from_secs(12 * 3600);
 /// Logins at the same time; the oldest gives way.
 const LOGINS_MAX: usize = 256;

@@ -116,7 +116,7 @@ impl State {
         status
     }
 
-    /// What telemetry must be told of the node.
+    /// The facts that telemetry needs of the node.
     fn facts(&self, status: &NodeStatus) -> NodeFacts {
         let config = &self.config;
         let bytes = |(_, camera): (_, &RigCamera)| camera.device.width * camera.device.height;

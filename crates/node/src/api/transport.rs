@@ -32,7 +32,7 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Link {
     Unix {
-        /// The user at the other end, as the kernel says.
+        /// The user at the other end, as the kernel reports it.
         uid: u32,
     },
     Tcp {
@@ -77,15 +77,15 @@ pub struct Listeners {
     warnings: Vec<String>,
 }
 
-/// A server that ends waits so long for requests under way.
+/// Longest time that a server which ends waits for requests under way.
 const DRAIN: Duration = Duration::from_secs(5);
-/// After an accept that failed (no file descriptors, say) the next one waits.
+/// After a failed accept (for instance without file descriptors) the next one waits.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 const TOO_MANY: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nretry-after: 5\r\nconnection: close\r\ncontent-length: 0\r\n\r\n";
 
 impl Listeners {
-    /// Opens what the configuration says. Needs a runtime.
+    /// Opens the configured addresses and sockets. Needs a runtime.
     pub async fn bind(config: &ApiConfig) -> Result<Self, Fault> {
         let tls = config.tls.as_ref().map(acceptor).transpose()?;
         let unix = config.socket.as_ref().map(bind_socket).transpose()?;
@@ -120,7 +120,7 @@ impl Listeners {
         }
         let Self { unix, tcp, .. } = self;
         drop((unix, tcp));
-        // Nobody waits any more when no connection is left.
+        // The connections may all be closed already.
         let _ = end.send(true);
         let _ = tokio::time::timeout(DRAIN, server.connections.all_gone()).await;
         Ok(())
@@ -153,7 +153,7 @@ impl Server {
         loop {
             match listener.accept().await {
                 Ok((stream, from)) => {
-                    // Answers are small and somebody waits for them.
+                    // Answers are small, and clients wait for them.
                     let _ = stream.set_nodelay(true);
                     self.take(stream, Link::Tcp { from, encrypted: tls.is_some() }, tls.cloned()).await;
                 }
@@ -246,7 +246,8 @@ async fn converse<S>(
     }
 }
 
-/// Makes the socket under another name with its final mode, then puts it in its place: whoever can connect may.
+/// Makes the socket under another name with its final mode, then puts it in its place: every client that can connect
+/// may.
 fn bind_socket(config: &SocketConfig) -> Result<Socket, Fault> {
     let path = &config.path;
     let failed = |problem: String| usage(format!("api.socket {}: {problem}", path.display()));
@@ -306,7 +307,7 @@ fn group_id(name: &str) -> Option<u32> {
     let mut group: libc::group = unsafe { std::mem::zeroed() };
     let mut buffer = vec![0; 64 << 10];
     let mut found = std::ptr::null_mut();
-    // SAFETY: the name ends with NUL, the buffer is as long as said, and all pointers are valid during the call.
+    // SAFETY: the name ends with NUL, the buffer has the given length, and all pointers are valid during the call.
     let failed =
         unsafe { libc::getgrnam_r(name.as_ptr(), &mut group, buffer.as_mut_ptr(), buffer.len(), &mut found) };
     (failed == 0 && !found.is_null()).then_some(group.gr_gid)

@@ -25,12 +25,12 @@ pub(crate) struct Span {
     /// What was decided when Record was pressed.
     keep: Option<KeepRequest>,
     told: Vec<bool>,
-    /// The train is stopped when so many triggers are recorded.
+    /// The train is stopped when this many triggers are recorded.
     stop_at: Option<u64>,
 }
 
 impl Span {
-    /// Of a capture of so many nodes; `behind` as in [`CaptureRequest::triggers`].
+    /// For a capture on this many nodes; `behind` as in [`CaptureRequest::triggers`].
     pub(crate) fn new(
         wish: &CaptureRequest,
         session_id: u64,
@@ -54,7 +54,7 @@ impl Span {
         self.before == 0 || self.keep.is_some()
     }
 
-    /// Whether the train is to be stopped now. `asked`: the operator says so, once or again.
+    /// Whether the train is to be stopped now. `requested`: the operator pressed Stop, once or again.
     pub(crate) fn stops(&mut self, asked: bool, recorded: u64) -> bool {
         if asked {
             let waits = self.stop_at.is_none() && self.records() && recorded > 0;
@@ -72,7 +72,7 @@ impl Span {
         Some((keep.pressed + 1).saturating_sub(keep.first) + self.behind)
     }
 
-    /// Passes Record on, where it was pressed and every node holds frames. A node that cannot be asked is asked again.
+    /// Passes Record on, where it was pressed and every node holds frames. A node that does not answer gets it again.
     pub(crate) fn pass_record_on(
         &mut self,
         nodes: Nodes<'_>,
@@ -93,7 +93,7 @@ impl Span {
         }
         let Some(keep) = &self.keep else { return };
         for ((node, told), session) in nodes.iter().zip(&mut self.told).zip(latest) {
-            // One that holds nothing any more has heard it, and its answer was lost.
+            // A node that holds nothing any more has received it, and its answer was lost.
             let heard = || session.as_ref().is_some_and(|session| session.held.is_none());
             if !*told {
                 *told = match node.keep(keep) {

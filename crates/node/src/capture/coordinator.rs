@@ -30,13 +30,13 @@ pub struct CaptureState {
     pub stage: Option<Stage>,
     /// It has not ended yet.
     pub running: bool,
-    /// The takes that ended, as `capture --json` tells them.
+    /// The takes that ended, as `capture --json` prints them.
     pub takes: Vec<serde_json::Value>,
     /// Why the series ended with a failure.
     pub fault: Option<Fault>,
     /// Where the operator ended it before its last take: what became of the take that was under way.
     pub stopped: Option<String>,
-    /// The operator asked for an end.
+    /// Whether the operator requested an end.
     pub asked_to_end: bool,
 }
 

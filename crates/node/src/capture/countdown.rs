@@ -7,7 +7,7 @@ use crate::base::{Exit, Fault};
 use crate::control::status::Outcome;
 use std::time::{Duration, Instant};
 
-/// How often the nodes are asked.
+/// Time between two status requests to the nodes.
 const LOOK: Duration = Duration::from_millis(250);
 
 /// Counts down unless the operator ends it, or a node gives up or is lost: who it was, and why.
@@ -43,18 +43,18 @@ pub(crate) fn count_down(
 pub(crate) struct Watch<'a> {
     nodes: Nodes<'a>,
     session_id: u64,
-    /// When each was last heard of.
+    /// When each node last answered.
     heard: Vec<Instant>,
 }
 
 impl<'a> Watch<'a> {
-    /// All nodes have just said that they are ready.
+    /// All nodes have just reported that they are ready.
     pub fn new(nodes: Nodes<'a>, session_id: u64) -> Self {
         Self { nodes, session_id, heard: vec![Instant::now(); nodes.len()] }
     }
 
-    /// Tells every node to give the session up because of a fault, and asks for their own reasons: the fault that is seen first may be what
-    /// another node's looks like from there.
+    /// Ends the session on every node because of a fault, and collects their own reasons: the fault that is seen first
+    /// may be only the effect of another node's.
     pub fn give_up(&self, fault: Fault) -> Fault {
         let told = format!("another node gave up: {}", fault.message);
         abort_all(self.nodes, self.session_id, &told);

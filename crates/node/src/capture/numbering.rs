@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Names of takes: a name that is taken already is followed by the next number, whoever recorded under it.
+//! Names of takes: a name that is taken already is followed by the next number.
 
 use super::run::Nodes;
 use crate::base::ids::SessionName;

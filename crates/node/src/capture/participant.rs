@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A node as whoever runs a session sees it: over the API, or from inside the node that coordinates.
+//! A node as the coordinator of a session sees it: over the API, or from inside the node that coordinates.
 
 use super::numbering;
 use crate::base::ids::SessionName;
@@ -19,7 +19,7 @@ pub trait Participant: Send + Sync {
     fn place(&self) -> String;
     /// The status of the node now.
     fn status(&self) -> Result<NodeStatus, Fault>;
-    /// Whether it takes connections at all, asked when it gave no status: a node that is only busy goes on.
+    /// Whether it takes connections at all, for a node that gave no status: one that is only busy goes on.
     fn is_there(&self) -> bool;
     /// The first name from this one on under which nothing is recorded there.
     fn free_name(&self, wanted: &str) -> Result<String, Fault>;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A node in a session looks after the other nodes of it: frames of some cameras alone are of no use.
+//! A node in a session watches the other nodes of it: frames of some cameras alone are of no use.
 //!
-//! Whoever coordinates a session does the same, but may be gone. A node that answers and is not in the session any more (it
-//! was restarted, or broke off) ends it at once; one that does not answer is waited for, because the network may be all that
-//! failed. What was recorded is kept, and says why it ended.
+//! The coordinator of the session does the same, but may be gone. A node that answers and is not in the session any
+//! more (it was restarted, or broke off) ends it at once; one that does not answer is waited for, because only the
+//! network may have failed. What was recorded is kept, with the reason.
 
 use super::participant::{LocalNode, Participant};
 use crate::base::ids::NodeId;
@@ -14,13 +14,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Another node that does not answer for so long ends the session here.
+/// Another node that has not answered for this time ends the session here.
 pub const PEER_PATIENCE: Duration = Duration::from_secs(15);
-/// One that takes connections, and only does not serve them, has so long.
+/// The same for a node that takes connections, and only does not serve them.
 pub const UNSERVED_PATIENCE: Duration = Duration::from_secs(60);
-/// How often they are asked.
+/// Time between two status requests to a node.
 const POLL: Duration = Duration::from_millis(500);
-/// A node that answers has been in the session, or takes so long to say that it has ended it.
+/// Time within which a node that answers must be in the session, or report that it has ended it.
 const RESTART_PATIENCE: Duration = Duration::from_secs(2);
 
 /// The thread that looks; it ends when dropped.
@@ -81,7 +81,7 @@ impl Watch {
             }
             let told = peer.status().ok();
             let theirs = told.as_ref().and_then(|status| status.session.as_ref()?.kept);
-            // Whoever passed Record on may be gone before all had heard it.
+            // The coordinator may be gone before all nodes received Record.
             if let Some(keep) = theirs.filter(|keep| keep.session_id == id && session.held.is_some())
                 && let Err(fault) = self.here.keep(&keep)
             {
@@ -110,7 +110,7 @@ impl Watch {
     }
 }
 
-/// What another node's answer says about a session.
+/// What another node's answer shows about a session.
 #[derive(Debug, PartialEq, Eq)]
 enum Seen {
     InSession,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A session that ended on every node, for the person and the script that asked for it.
+//! The result of a session that ended on every node, for people and for scripts.
 
 use crate::base::ids::one_line;
 use crate::base::{Exit, Fault};
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 pub struct Captured {
     name: String,
     dry_run: bool,
-    /// Nodes of the rig that were not asked.
+    /// Nodes of the rig that took no part.
     absent: Vec<String>,
     /// Per node: its name, and its session as it ended.
     nodes: Vec<(String, SessionStatus)>,
@@ -38,7 +38,7 @@ impl Captured {
         &self.nodes
     }
 
-    /// 0 when every frame of every camera that was asked is there, 3 otherwise.
+    /// 0 when every frame of every camera that took part is there, 3 otherwise.
     pub fn exit(&self) -> Exit {
         if self.worst() == Status::Complete { Exit::Done } else { Exit::DataLoss }
     }
@@ -90,7 +90,7 @@ impl Captured {
         })
     }
 
-    /// The worst of the nodes' words; `partial` where all is there that was asked of a part of the rig.
+    /// The worst of the nodes' verdicts; `partial` where a part of the rig was meant and all of that is there.
     pub fn verdict(&self) -> &'static str {
         match self.worst() {
             Status::Complete if !self.absent.is_empty() => "partial",
@@ -119,7 +119,7 @@ fn camera_lines(verdict: &serde_json::Value) -> Vec<String> {
     cameras.chain(advice.map(|line| format!("    {line}"))).collect()
 }
 
-/// What a node without a verdict had written when it was last heard of, and where that is.
+/// What a node without a verdict had written at its last status, and where that is.
 fn last_heard(session: &SessionStatus, dry_run: bool) -> Vec<String> {
     let written: u64 = session.cameras.iter().map(|camera| camera.frames + camera.gaps).sum();
     if dry_run || (written == 0 && session.triggers == 0) {
@@ -156,8 +156,8 @@ pub(crate) fn ended_early(session: &SessionStatus) -> Option<&str> {
     }
 }
 
-/// A session that recorded nothing anywhere is a failure, not a verdict. Every node's reason is told: one of them may
-/// only know that the train was empty, which is what the failure of another looks like from there.
+/// A session that recorded nothing anywhere is a failure, not a verdict. Every node's reason is in it: one of them may
+/// only know that the train was empty, which is the effect of another node's failure.
 pub(crate) fn failure_of_all(nodes: &[(String, SessionStatus)]) -> Option<Fault> {
     let failure = |(node, session): &(String, SessionStatus)| match &session.outcome {
         Some(Outcome::Failed(fault)) => Some((fault.exit, format!("node {node}: {}", fault.message))),
@@ -177,7 +177,7 @@ mod tests {
     use crate::base::Exit;
     use crate::control::status::{Outcome, SessionStatus};
 
-    /// A session of which each node says this (`failed`: it has no recording), and of a rig with these nodes more.
+    /// A session with this verdict on each node (`failed`: it has no recording), and of a rig with these nodes more.
     fn captured(words: &[&str], absent: &[&str]) -> Captured {
         let node = |word: &&str| {
             let recorded = || Outcome::Recorded(serde_json::json!({ "status": word }));

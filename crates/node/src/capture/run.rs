@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One session on all nodes, as whoever coordinates it sees it: prepare all, count down, start, follow, verdict.
+//! One session on all nodes, as its coordinator sees it: prepare all, count down, start, follow, verdict.
 //!
-//! Two phases: nothing starts unless every node is ready, and the HSU itself refuses a start until every
-//! link has armed the same session. Whatever fails on the way, every node is told to give the session up.
+//! Two phases: nothing starts unless every node is ready, and the HSU itself refuses a start until every link has
+//! armed the same session. Whatever fails on the way, every node receives an abort.
 
 use super::before_record::Span;
 use super::countdown::{Watch, count_down};
@@ -47,7 +47,7 @@ pub struct CaptureRequest {
     pub partial: bool,
     /// Seconds from the moment at which every node is ready to the first trigger.
     pub countdown_s: u32,
-    /// Whom the node that runs the capture serves. Not theirs to say.
+    /// The operator for whom the node runs the capture; never taken from a request.
     #[serde(skip)]
     pub on_behalf_of: Option<String>,
 }
@@ -55,14 +55,14 @@ pub struct CaptureRequest {
 /// Nodes that are ready wait for 120 s.
 pub const COUNTDOWN_MAX_S: u32 = 60;
 
-/// How whoever waits for a capture may end it.
+/// The operator's requests to a capture that runs: Record, Stop and Abort.
 #[derive(Debug, Default)]
 pub struct Control {
     stop: AtomicBool,
     record: AtomicBool,
     holding: AtomicBool,
     abort: Mutex<Option<String>>,
-    /// Either was asked for at some time.
+    /// An end was requested at some time.
     asked: AtomicBool,
 }
 
@@ -88,19 +88,19 @@ impl Control {
         self.record.load(Ordering::Acquire)
     }
 
-    /// Now; what was recorded is kept and says why it ended.
+    /// Now; what was recorded is kept, with the reason.
     pub fn abort(&self, reason: &str) {
         self.asked.store(true, Ordering::Release);
         let mut abort = self.abort.lock().unwrap_or_else(PoisonError::into_inner);
         abort.get_or_insert_with(|| reason.to_owned());
     }
 
-    /// Whether the operator asked for an end at any time, carried out or not.
+    /// Whether the operator requested an end at any time, carried out or not.
     pub fn was_asked(&self) -> bool {
         self.asked.load(Ordering::Acquire)
     }
 
-    /// Whether either was asked for; a stop is not forgotten.
+    /// Whether an end was requested; a stop is not forgotten.
     pub fn ends(&self) -> bool {
         self.stop.load(Ordering::Acquire)
             || self.abort.lock().unwrap_or_else(PoisonError::into_inner).is_some()
@@ -141,7 +141,7 @@ pub enum Stage {
     Recording {
         /// Number of triggers recorded so far.
         triggers: u64,
-        /// Triggers asked for; 0: until stopped.
+        /// Number of requested triggers; 0: until stopped.
         asked: u64,
         /// Frames of all cameras so far.
         frames: u64,
@@ -151,7 +151,7 @@ pub enum Stage {
         #[serde(default, skip_serializing_if = "Vec::is_empty")]
         notices: Vec<String>,
     },
-    /// A stop was asked for.
+    /// The train ends after the current trigger.
     Stopping,
     /// A node takes connections and gives no status; the session goes on there, and its verdict is waited for.
     Unanswered {
@@ -193,7 +193,7 @@ impl fmt::Display for Stage {
 /// The nodes of one session, in the order of its request.
 pub type Nodes<'a> = &'a [Box<dyn Participant>];
 
-/// Runs a session; `progress` is told now and then.
+/// Runs one session on all nodes, from the request to the verdict; `progress` receives each stage.
 pub fn capture(
     nodes: Nodes<'_>,
     wish: &CaptureRequest,
@@ -221,7 +221,7 @@ pub fn capture(
     }
     let first = nodes.first().ok_or_else(|| Fault::new(Exit::Usage, "no nodes"))?;
     if let Err(refused) = first.start(request.session_id) {
-        // Of a node that has given up since, its own reason says more.
+        // The own reason of a node that has given up since is more precise.
         let fault = watch.look().err().unwrap_or(refused);
         return Err(watch.give_up(fault));
     }
@@ -273,7 +273,7 @@ fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<(SessionReq
         }
     }
     let absent = absent(statuses);
-    // A dry run records nothing, and says what it was of.
+    // A dry run records nothing, and its report lists the absent nodes.
     if !absent.is_empty() && !wish.partial && !wish.dry_run {
         return Err(usage(format!(
             "the rig has node {}, which was not asked; add it to --nodes (on a node: to its peers), or ask for a part of the rig with \
@@ -318,7 +318,7 @@ fn absent(statuses: &[NodeStatus]) -> Vec<String> {
     absent.map(ToString::to_string).collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// Triggers asked for, 0: until stopped.
+/// Number of requested triggers, 0: until stopped.
 fn triggers(wish: &CaptureRequest, rate_hz: f64) -> Result<u64, String> {
     match (wish.triggers, wish.duration_s) {
         (Some(_), Some(_)) => Err("both triggers and a duration; expected one of them".to_owned()),
@@ -346,7 +346,7 @@ fn prepare_all(nodes: Nodes<'_>, statuses: &[NodeStatus], request: &SessionReque
                 thread.join().unwrap_or_else(|_| Err(Fault::new(Exit::Failure, "preparing panicked")));
             let answer = answer
                 .map_err(|f| Fault { exit: f.exit, message: format!("node {}: {}", status.node, f.message) });
-            // What is wrong on one node is no reason not to say what is wrong on the other.
+            // All nodes' faults are reported, not only the first.
             if let Err(fault) = answer {
                 all = Some(match all {
                     None => fault,
@@ -362,7 +362,7 @@ fn prepare_all(nodes: Nodes<'_>, statuses: &[NodeStatus], request: &SessionReque
 
 pub(crate) fn abort_all(nodes: Nodes<'_>, session_id: u64, reason: &str) {
     for node in nodes {
-        // A node that is not in this session says so; there is nothing more to do for it.
+        // A node that is not in this session refuses; there is nothing more to do for it.
         if let Err(fault) = node.abort(session_id, reason) {
             tracing::debug!(place = node.place(), "abort: {}", fault.message);
         }
@@ -380,7 +380,8 @@ fn lost(node: &dyn Participant) -> Fault {
     Fault::new(Exit::Device, message)
 }
 
-/// Polls until every node has an outcome for this session; `train` is how long its triggers take, 0 where nobody knows.
+/// Polls until every node has an outcome for this session; `train` is how long its triggers take, 0 where that is not
+/// known.
 fn follow(
     nodes: Nodes<'_>,
     request: &SessionRequest,
@@ -397,7 +398,7 @@ fn follow(
         stopping |= span.stops(control.stop.swap(false, Ordering::AcqRel), triggers);
         if stopping {
             progress(&Stage::Stopping);
-            // Any link will do: the first node may be the one that is gone. Where none takes it, it is asked again.
+            // Any link will do: the first node may be the one that is gone. Where no node takes it, it is sent again.
             stopping = !nodes.iter().any(|node| node.stop(request.session_id).is_ok());
         }
         if let Some(reason) = control.take_abort() {
@@ -416,7 +417,7 @@ fn follow(
                     latest[i] = Some(session);
                 }
                 _ if seen[i].elapsed() < LOST_PATIENCE => {}
-                // Somebody else may take all that it can serve: that ends no session.
+                // Other clients may take all that it can serve: that ends no session.
                 Err(_)
                     if seen[i].elapsed().min(started.elapsed().saturating_sub(train)) < UNSERVED_PATIENCE
                         && node.is_there() =>

@@ -49,7 +49,7 @@ impl Series {
         Self { wish, takes: 1, pause_s: 0, number: false }
     }
 
-    /// What is asked for, or what is wrong with it.
+    /// Checks the series, and returns what is wrong with it.
     pub fn check(&self) -> Result<(), Fault> {
         let usage = |message: String| Err(Fault::new(Exit::Usage, message));
         if !(1..=TAKES_MAX).contains(&self.takes) {

@@ -195,7 +195,7 @@ impl NodeClient {
             Place::Tcp { authority, .. } => authority,
         };
         let mut request = Request::builder().method(method).uri(path).header(HOST, authority);
-        // Over plain TCP whoever has bound the port could be anybody: the secret is proved, and not shown.
+        // Over plain TCP any program could have bound the port: the secret is proved, and not sent.
         let plain = matches!(place, Place::Tcp { tls: false, .. });
         let prover = self.secret.as_ref().filter(|_| plain).map(|secret| Prover { secret, authority });
         if let Some(secret) = self.secret.as_ref().filter(|_| !plain) {
@@ -253,7 +253,7 @@ struct Prover<'a> {
 type Sender = hyper::client::conn::http1::SendRequest<Full<Bytes>>;
 
 impl Prover<'_> {
-    /// Asks for the connection's nonce, then for what is wanted; an answer of somebody else is none.
+    /// Requests the connection's nonce, then sends the request itself; the answer of another program is refused.
     async fn ask(&self, sender: &mut Sender, mut request: Request<Full<Bytes>>) -> Result<Answer, AnyError> {
         let challenge = Request::builder().uri(path::CHALLENGE).header(HOST, self.authority);
         let (challenge, _) = answer_to(sender, challenge.body(Full::default())?).await?;

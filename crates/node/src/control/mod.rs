@@ -9,7 +9,7 @@ pub mod command;
 pub mod proof;
 /// What an operator asks for.
 pub mod request;
-/// What a node says of itself.
+/// The state of a node, as it reports it.
 pub mod status;
 /// Tokens: secrets, their hashes and roles.
 pub mod tokens;

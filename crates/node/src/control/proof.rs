@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How a token is shown where others could take it: as a proof, made for one request on one connection.
+//! How a token is shown where others could read it: as a proof, made for one request on one connection.
 //!
-//! Over plain TCP whoever has bound a node's port could be anybody. So a client asks for the connection's nonce first
-//! ([`super::status::path::CHALLENGE`]), and sends `Authorization: Proof HEX` with the request that it is for. HEX is the
-//! secret, masked with a stream that only those can make who know the secret's hash: the node, and its owner. It is
-//! made of the nonce, the node's address as the client has it, the method, the path and the body. What one listener is
-//! shown opens nothing at another, at another time or for another request. The node shows in its answer, with
-//! [`HEADER`], that it knows the hash: nobody else's answer is believed.
+//! Over plain TCP any program could have bound a node's port. So a client requests the connection's nonce first
+//! ([`super::status::path::CHALLENGE`]), and sends `Authorization: Proof HEX` with its request. HEX is the secret,
+//! masked with a stream that only those can make who know the secret's hash: the node, and its owner. It is made of
+//! the nonce, the node's address as the client has it, the method, the path and the body. A proof is of no use at
+//! another address, at another time or for another request. The node proves in its answer, with [`HEADER`], that it
+//! knows the hash: the client refuses any other answer.
 
 use super::tokens::SecretHash;
 use sha2::{Digest, Sha256};

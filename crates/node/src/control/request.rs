@@ -26,8 +26,8 @@ pub struct SessionRequest {
     /// The train starts at this edge of one of the HSU's inputs, not at once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start_on: Option<StartOn>,
-    /// So many triggers before Record are kept: the train starts, frames are held in memory, and nothing is written before it.
-    /// 0: the recording begins with the train.
+    /// Number of triggers before Record that are kept: the train starts, frames are held in memory, and nothing is
+    /// written before it. 0: the recording begins with the train.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub pre_triggers: u64,
     /// Everything but the recording: frames are counted and judged, nothing is written.
@@ -43,7 +43,7 @@ fn is_zero(number: &u64) -> bool {
 }
 
 impl SessionRequest {
-    /// The session's name, if everything that was asked for may be recorded; or why not.
+    /// The session's name, if the whole request may be recorded; or why not.
     pub fn check(&self) -> Result<SessionName, String> {
         for (what, text) in [("subject", &self.subject), ("note", &self.note)] {
             text.as_ref().map_or(Ok(()), |text| check_text(what, text))?;

@@ -15,7 +15,8 @@ use std::path::PathBuf;
 use std::time::Instant;
 use utoipa::ToSchema;
 
-/// Everything that a node tells of itself.
+/// The state of a node, its devices and its session. The node's thread publishes it after every event; the API adds
+/// the age, the warnings and the judgements.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NodeStatus {
     /// Its name in the rig.
@@ -36,7 +37,7 @@ pub struct NodeStatus {
     pub cameras: Vec<CameraStatus>,
     /// Its link to the HSU.
     pub hsu: HsuStatus,
-    /// What was asked of the system and refused (real-time priority, locked memory): the node works without.
+    /// Requests to the system that it refused (real-time priority, locked memory): the node works without.
     #[serde(default)]
     pub warnings: Vec<String>,
     /// The directory in which sessions are recorded.
@@ -58,7 +59,7 @@ pub struct NodeStatus {
     /// How old all this is, s: a device that does not answer keeps the node's thread for some seconds.
     #[serde(default)]
     pub age_s: f64,
-    /// When the node's thread last said all this.
+    /// When the node's thread last published all this.
     #[serde(skip)]
     pub published: Option<Instant>,
 }
@@ -68,7 +69,7 @@ pub struct NodeStatus {
 pub struct WorkerStatus {
     /// For people: on what it is, how far, how much waits.
     pub line: String,
-    /// Whether it has been heard of.
+    /// Whether the worker runs, by the age of its last report.
     pub running: bool,
     /// Sessions that it has set aside, each with the reason.
     pub set_aside: Vec<(String, String)>,
@@ -156,12 +157,12 @@ pub struct CameraStatus {
     pub identity: Option<CameraIdentity>,
     /// Why it is not usable; `None` when it is.
     pub problem: Option<String>,
-    /// What it is asked for.
+    /// The exposure and gain that it has to use.
     #[serde(default)]
     pub exposure: Option<ExposureNow>,
 }
 
-/// The exposure and gain that a camera is asked for.
+/// The exposure and gain that a camera has to use.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ExposureNow {
     /// The head that the camera belongs to.
@@ -193,7 +194,7 @@ pub struct CameraExposure {
     pub exposure_us: f64,
     /// The gain that was requested, decibels.
     pub gain_db: f64,
-    /// The camera's own features of both, as asked for and as read back.
+    /// The camera's own features of both, as requested and as read back.
     pub taken: Vec<AppliedSetting>,
     /// What the camera rounded, and what was found otherwise and mended.
     pub told: Vec<String>,
@@ -231,7 +232,7 @@ pub struct SessionStatus {
     /// Nothing was written: `directory` does not exist.
     #[serde(default)]
     pub dry_run: bool,
-    /// Triggers asked for; 0: until stopped.
+    /// Number of requested triggers; 0: until stopped.
     pub triggers_asked: u64,
     /// Triggers that the HSU reported so far; before Record 0, and then those from the recording's first on.
     pub triggers: u64,
@@ -257,7 +258,7 @@ pub struct SessionStatus {
     /// From the stream until the writer had taken the frame.
     #[serde(default)]
     pub total: Latency,
-    /// What whoever captures must know at once; it holds as long as it stands here.
+    /// Notices that the operator must see at once; each holds as long as it is listed here.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notices: Vec<String>,
     /// Set when the session has ended on this node.
@@ -271,7 +272,7 @@ pub struct Held {
     pub oldest: u64,
     /// One more than the newest.
     pub end: u64,
-    /// So many are to be kept before Record.
+    /// Number of triggers that are to be kept before Record.
     pub asked: u64,
 }
 
@@ -285,7 +286,7 @@ pub struct CameraProgress {
     pub frames: u64,
     /// Gap records written so far.
     pub gaps: u64,
-    /// Nothing has been heard of it for some triggers: long before the camera counts as lost.
+    /// No packet has arrived from it for some triggers: long before the camera counts as lost.
     #[serde(default)]
     pub silent: bool,
 }
@@ -325,7 +326,7 @@ pub struct SessionCommand {
     pub reason: Option<String>,
 }
 
-/// How somebody showed who they are.
+/// How a client showed who it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Via {
@@ -400,7 +401,7 @@ pub struct CameraSettings {
     pub address: String,
     /// Columns and rows of its images, by the rig.
     pub size: [usize; 2],
-    /// What the node file says, in its words and in raw settings; a word stands under its own name.
+    /// The settings of the node file, its words and raw settings; a word stands under its own name.
     pub configured: Vec<FeatureSetting>,
     /// As read back when a session was last prepared; none before the first.
     pub read_back: Option<Vec<AppliedSetting>>,
@@ -449,7 +450,7 @@ pub struct CaptureBegun {
 /// A name under which nothing is recorded at the node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct FreeName {
-    /// The name that was asked for, or the first number after it that is free.
+    /// The requested name, or the first number after it that is free.
     pub name: String,
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Tokens: secrets of 256 bits in files that only their owner can read, and the node's list of their hashes.
 //!
-//! A node's list has a line `NAME ROLE SHA256` per token; the secret itself lies only with whoever uses it. A secret
+//! A node's list has a line `NAME ROLE SHA256` per token; only its user has the secret itself. A secret
 //! has 256 random bits, so that a plain hash of it cannot be reversed by guessing.
 
 use crate::base::{Exit, Fault, regular};
@@ -156,7 +156,7 @@ impl TokenList {
         write_private(path, &text, true)
     }
 
-    /// Whose secret this is. Every entry is compared, so that the time tells nothing.
+    /// The token with this secret. Every entry is compared, so that the time reveals nothing.
     pub fn bearer(&self, secret: &str) -> Option<&Token> {
         let hash = SecretHash::of(secret);
         self.0.iter().fold(None, |found, token| if token.hash.is(&hash) { Some(token) } else { found })
@@ -198,7 +198,7 @@ pub fn read_secret(path: &Path) -> Result<String, Fault> {
 
 const PRIVATE_BYTES_MAX: u64 = 1 << 20;
 
-/// Reads a file that nobody but its owner may read or write.
+/// Reads a file that only its owner may read or write.
 pub fn read_private(path: &Path) -> Result<String, Fault> {
     let failed = |e: io::Error| wrong(path, e);
     let file = regular::open(path).map_err(failed)?;

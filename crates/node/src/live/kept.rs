@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which triggers a node samples for the live body, and the rows of the last ones: pure, times are given, on any clock that
-//! does not jump.
+//! Which triggers a node samples for the live body, and the rows of the last ones: pure, times are given, on any clock
+//! that does not jump.
 //!
-//! Nodes agree without a word: triggers that are multiples of a stride are sampled. Numbers begin anew with each session,
-//! so whatever is older than a pause between sessions is neither given nor waited for.
+//! Nodes need no message to agree: triggers that are multiples of a stride are sampled. Numbers begin anew with each
+//! session, so frames that are older than a pause between sessions are neither returned nor waited for.
 
 use crate::acquire::preview::Sample;
 use std::collections::{BTreeMap, VecDeque};
@@ -41,7 +41,7 @@ struct Set {
 #[derive(Debug, Clone, Copy, Default)]
 struct Wish {
     from: u64,
-    /// When it was told, ns; none as long as it was not.
+    /// When the request was sent, ns; `None` before that.
     told_ns: Option<u64>,
 }
 
@@ -57,7 +57,7 @@ impl Kept {
         }
     }
 
-    /// From which trigger on a frame of a camera is wanted, where that is to be told now.
+    /// From which trigger on the next frame of a camera is wanted, where that has to be requested now.
     pub(super) fn wish(&mut self, camera: usize, now_ns: u64) -> Option<u64> {
         let apart_ns = self.apart_ns;
         let wish = self.wishes.get_mut(camera)?;
@@ -71,7 +71,7 @@ impl Kept {
         Some(wish.from)
     }
 
-    /// Nobody looks any more: what was told is void.
+    /// No client looks any more: requests that were sent are void.
     pub(super) fn forget_wishes(&mut self) {
         self.wishes.fill(Wish::default());
     }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The body while cameras run (`docs/design/live.md`): frame sets of all nodes as points, on time that nobody else wants.
+//! The body while cameras run (`docs/design/live.md`): frame sets of all nodes as points, at low priority.
 //!
-//! Every node samples the same triggers, those that are multiples of a stride, as long as somebody looks. The node whose
-//! console is looked at asks the others for their rows of a trigger and reconstructs all cameras together.
+//! Every node samples the same triggers, those that are multiples of a stride, as long as a console requests them. The
+//! node that serves the console fetches the other nodes' rows of a trigger and reconstructs all cameras together.
 
 mod body;
 mod kept;
@@ -32,17 +32,17 @@ use std::time::{Duration, Instant};
 
 /// How often threads look for what is new.
 const POLL: Duration = Duration::from_millis(4);
-/// Time between two looks while nobody requests the body.
+/// Time between two looks while no client requests the body.
 const REST: Duration = Duration::from_millis(100);
-/// A frame set lacks what another node has not told by then.
+/// A frame set is made without the rows that another node has not sent by then.
 const PEER_PATIENCE: Duration = Duration::from_millis(400);
-/// Frame sets over which their rate is told.
+/// Number of frame sets over which their rate is measured.
 const RATE_OVER: usize = 12;
 
-/// A frame set as points, with what is told of it.
+/// A frame set as points, with its facts.
 #[derive(Debug, Clone)]
 pub struct Shown {
-    /// What is told of it.
+    /// Its description for the console.
     pub facts: Facts,
     /// Arrival of its first frame at this node, host clock, ns.
     pub host_time_ns: u64,
@@ -50,7 +50,7 @@ pub struct Shown {
     pub points: Vec<u8>,
 }
 
-/// What is told of a frame set.
+/// The description of a frame set.
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct Facts {
     /// Counts the frame sets of this node.
@@ -132,8 +132,8 @@ impl LiveBody {
         self.shared.ended.store(true, Ordering::Release);
     }
 
-    /// The newest frame set if it is not the one of this number, and the wish for the next ones; `None` where there is none yet.
-    /// Numbers begin anew with the node. The error says why there never will be one.
+    /// The newest frame set if it is not the one of this number; `None` where there is none yet. The call keeps frame
+    /// sets coming. Numbers begin anew with the node. The error is why there never will be one.
     pub fn after(&self, number: u64) -> Result<Option<Arc<Shown>>, String> {
         if self.shared.calibration.is_none() {
             let message = "no calibration is configured; set quick_look.calibration in the node file";
@@ -253,7 +253,8 @@ impl Shared {
         *lock(&self.problem) = Some(reason);
     }
 
-    /// What the other nodes have of a trigger, asked for at the same time; nothing of those that do not say it in time.
+    /// The rows of a trigger at the other nodes, requested from all at the same time; none of a node that does not
+    /// answer in time.
     fn rows_of_peers(&self, trigger: u64) -> Rows {
         let wanted = path::LIVE_ROWS.replace("{trigger}", &trigger.to_string());
         let ask = |peer: &Peer| -> Rows {
@@ -271,7 +272,7 @@ impl Shared {
 }
 
 impl Shown {
-    /// What is told of it now.
+    /// Its description now, with its age.
     pub fn facts_now(&self) -> Facts {
         let age_ms = host_time_ns().saturating_sub(self.host_time_ns) as f64 / 1e6;
         Facts { age_ms: (age_ms * 10.0).round() / 10.0, ..self.facts.clone() }

@@ -49,7 +49,7 @@ impl Devices {
         }
     }
 
-    /// Waits until every camera says that PTP has set its clock, and their clocks show the same.
+    /// Waits until every camera reports that PTP has set its clock, and their clocks show the same.
     fn wait_for_ptp(&mut self) -> Vec<String> {
         let until = Instant::now() + PTP_PATIENCE;
         loop {
@@ -77,7 +77,7 @@ impl Devices {
                     ));
                     continue;
                 }
-                // One that does not say is told by its clock.
+                // A camera without a PTP status is judged by its clock.
                 Ok(_) => {}
                 Err(error) => {
                     troubles.push(format!("camera {id}: {error}"));

@@ -37,12 +37,12 @@ pub enum CameraReport {
     Back,
 }
 
-/// What the node tells an attendant.
+/// What the node's thread orders an attendant to do.
 #[derive(Debug)]
 enum Order {
-    /// Nothing was heard of the camera: does it answer?
+    /// No packet arrived from the camera: check whether it answers.
     Probe,
-    /// Its frames are in doubt: what does its clock say?
+    /// Its frames are in doubt: read its clock.
     ReadClock,
     Stop,
 }
@@ -109,12 +109,12 @@ impl CameraKeeper {
         drop(self.orders.try_send(Order::Probe));
     }
 
-    /// Asks it to read the camera's clock now, often enough to tell one that was set.
+    /// Orders it to read the camera's clock now, often enough to recognize a clock that was set.
     pub fn read_clock(&self) {
         drop(self.orders.try_send(Order::ReadClock));
     }
 
-    /// Tells it to stop; [`Self::join`] waits for it.
+    /// Orders it to stop; [`Self::join`] waits for it.
     pub fn stop(&self) {
         drop(self.orders.send(Order::Stop));
     }
@@ -129,7 +129,7 @@ struct Work {
     setup: AttendantSetup,
     /// `None` while the camera is lost.
     receiver: Option<Receiver>,
-    /// Who was found in control of it at the last attempt, and who was said to be.
+    /// Who controlled it at the last attempt, and who was last reported to.
     owned: Option<String>,
     holder: Option<String>,
     /// How many settings it was given when it was last back.
@@ -204,7 +204,7 @@ impl Work {
         let camera = self.setup.camera.camera.as_mut().filter(|_| self.receiver.is_some());
         match camera.map(|camera| self.ptp.look(camera.as_mut(), at_the_end)) {
             Some(Ok(Some(status))) => self.note(EventKind::PtpStatus, status),
-            // Nothing that it says of its clock can be believed, and its frames are placed by that.
+            // No reading of its clock can be believed, and its frames are matched by that.
             Some(Err(error @ CameraError::Nonsense { .. })) => self.lost(&error),
             // A camera that does not answer is lost, and that is noted.
             _ => {}
@@ -259,7 +259,7 @@ impl Work {
         }
     }
 
-    /// Another program controls the camera: said once for each.
+    /// Another program controls the camera: reported once for each program.
     fn say_who_has_it(&mut self, holder: String, reason: &str) {
         if self.holder.as_ref() == Some(&holder) {
             return;
@@ -349,7 +349,7 @@ impl Work {
     }
 }
 
-/// A burst of readings of a camera's clock. One that does not answer is not asked again: each question takes seconds.
+/// A burst of readings of a camera's clock. It ends with the first one that fails: each attempt takes seconds.
 pub fn clock_readings(camera: &mut dyn Camera) -> impl Iterator<Item = CameraClockSample> {
     (0..CLOCK_BURST).map_while(|_| camera.sample_clock().ok()).flatten()
 }

@@ -32,7 +32,7 @@ pub struct OpenCamera {
     pub config: CameraConfig,
     /// The camera, while it is open and not in the hands of an attendant.
     pub camera: Option<Box<dyn Camera>>,
-    /// Who it said it was when it was last opened.
+    /// Its identity when it was last opened.
     pub identity: Option<CameraIdentity>,
     /// Why it cannot be used now.
     pub problem: Option<String>,
@@ -40,7 +40,7 @@ pub struct OpenCamera {
     pub size: (usize, usize),
     /// What its frames must be, as it was last verified.
     pub contract: FrameContract,
-    /// What the node file says of it.
+    /// The settings of the node file for it.
     pub wishes: Wishes,
     /// What must stay as it is while a session runs.
     pub watched: State,
@@ -65,7 +65,7 @@ impl OpenCamera {
         Ok(PreparedCamera { id, contract, identity, settings, told, state })
     }
 
-    /// What is not as it was set, where the camera can be asked.
+    /// Settings that are not as they were set, where the camera can be read.
     fn changed(&mut self) -> Vec<Change> {
         let Some(camera) = self.camera.as_mut().filter(|camera| camera.is_alive()) else { return Vec::new() };
         match camera.changed(&self.watched) {
@@ -218,8 +218,8 @@ impl Devices {
         self.next_hsu_retry = Instant::now() + HSU_RETRY_INTERVAL;
     }
 
-    /// Between sessions: notices devices that were lost since, and says whether there are any. Asks none, so that it
-    /// does not wait.
+    /// Between sessions: notices devices that were lost since, and returns whether there are any. Sends no request, so
+    /// that it does not wait.
     pub fn notice_lost(&mut self) -> bool {
         let mut found = false;
         for slot in &mut self.slots {
@@ -413,7 +413,7 @@ impl Devices {
         }
         let mut attendants = Vec::new();
         let ptp = self.ptp();
-        // At once, cameras act by nobody's clock.
+        // Actions that are not scheduled depend on no clock.
         let actions =
             self.unit().action().filter(|action| action.ptp.is_some()).map(|action| action.tally.clone());
         for (receiver, setup) in running.into_iter().zip(receivers) {

@@ -106,7 +106,7 @@ impl Node {
         self.take(Event::LinkBack);
     }
 
-    /// Looks, trigger by trigger, which cameras are heard.
+    /// Checks, trigger by trigger, which cameras send.
     pub(crate) fn listen(&mut self, trigger: u64) {
         let Some(session) = &mut self.session else { return };
         let period = Duration::from_secs_f64(1.0 / self.config.rig.trigger_rate_hz);

@@ -14,8 +14,8 @@ use std::sync::atomic::Ordering;
 /// Left to everything else on this host, bytes.
 const LEFT_FREE: u64 = 1 << 30;
 
-/// Frame sets that are held: those that are asked for, and a second of them more. So long Record may be on its way from one node to the
-/// other.
+/// Number of frame sets to hold: those of the requested seconds and of one second more, for which Record may be on its
+/// way from one node to the other.
 pub(crate) fn held_sets(request: &SessionRequest, rate_hz: f64) -> usize {
     match usize::try_from(request.pre_triggers).unwrap_or(usize::MAX) {
         0 => 0,
@@ -92,11 +92,11 @@ impl Node {
     }
 }
 
-/// Why so many frame sets cannot be held beside the ordinary ones, in `may` bytes of memory.
+/// Why this many frame sets cannot be held beside the ordinary ones, in `may` bytes of memory.
 fn refusal(set_bytes: u64, sets: u64, ordinary: u64, rate_hz: f64, may: u64) -> Option<String> {
     let needed = set_bytes.saturating_mul(sets.saturating_add(ordinary));
     let fits = (may / set_bytes.max(1)).saturating_sub(ordinary);
-    // The second that is held beyond what is asked for.
+    // Without the second that is held beyond the requested ones.
     let seconds = |sets: u64| (sets as f64 / rate_hz - 1.0).max(0.0);
     (needed > may).then(|| {
         format!(

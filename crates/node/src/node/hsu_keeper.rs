@@ -63,7 +63,7 @@ impl HsuKeeper {
         Ok(Self { orders, thread })
     }
 
-    /// Tells it to connect anew; triggers from number `next` on have not been heard.
+    /// Orders it to connect anew; reports of the triggers from number `next` on are missing.
     pub fn reconnect(&self, next: i64) {
         drop(self.orders.try_send(Order::Reconnect { next }));
     }
@@ -90,7 +90,7 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
         events.into_iter().for_each(|event| drop(to_recorder.send(RecorderCommand::Event(event))));
     };
     let mut look = |link: &Hsu, time_code: &mut TimeCodeKeeper| {
-        // Named first, so that no edge of it is told.
+        // The time code first: once its input is known, its edges are not reported.
         tell(time_code.look(link, clock.now()));
         tell(inputs.look(|first| link.input_edges(first), clock.now()));
     };
@@ -132,7 +132,7 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
         match (&hsu, missing) {
             (Some(link), _) if Instant::now() >= next_clock => {
                 next_clock = Instant::now() + CLOCK_INTERVAL;
-                // A unit that does not say the time is not waited for twice.
+                // A unit that does not answer with its time is not waited for twice.
                 if let Ok(sample) = link.query_clock() {
                     drop(to_recorder.send(RecorderCommand::Clock(hsu_sample(&sample, &clock))));
                     look(link, &mut time_code);

@@ -15,8 +15,9 @@ pub struct InputLines {
 }
 
 impl InputLines {
-    /// What came since the last time; nothing where the unit does not answer: it is asked again. `ask` asks it for the edges
-    /// from a number on, at most as often as gives all that a unit remembers; `host_time_ns` is now.
+    /// The edges since the last call, as events; none where the unit does not answer, and the next call repeats the
+    /// request. `ask` requests the edges from a number on, at most as often as gives all that a unit remembers;
+    /// `host_time_ns` is now.
     pub fn look(
         &mut self,
         mut ask: impl FnMut(u64) -> Result<InputEdges, HsuError>,

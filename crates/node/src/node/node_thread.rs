@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The node's thread: carries out what the state machine says, and feeds it what happens.
+//! The node's thread: carries out the actions of the state machine, and feeds it with events.
 
 use super::devices::Devices;
 use super::event_kind::{self, EventKind};
@@ -46,7 +46,7 @@ pub struct NodeThread {
 
 /// The thread looks around at least this often.
 const TICK: Duration = Duration::from_millis(100);
-/// A thread that has not looked around for so long did not run, or was kept waiting by a device.
+/// A thread whose last turn is older than this did not run, or waited for a device.
 const ASLEEP: Duration = Duration::from_secs(1);
 
 impl NodeThread {
@@ -127,7 +127,7 @@ pub(crate) struct Node {
     pub(crate) telemetry: Arc<Telemetry>,
     /// What this process had before its first session.
     pub(crate) memory: ProcessMemory,
-    /// Whoever waits for the preparation.
+    /// Answers the request for the preparation under way.
     pending: Option<Reply>,
     status: SharedStatus,
     /// From here on time is counted, but for the times in which this thread did not run.
@@ -172,7 +172,7 @@ impl Node {
         self.telemetry.node_turns.fetch_add(1, Ordering::Relaxed);
         let asleep = std::mem::replace(&mut self.ticked, Instant::now()).elapsed();
         if asleep > ASLEEP {
-            // What came meanwhile has not been heard yet: nobody was silent but this node.
+            // The reports of the meantime are still in the queues: no device was silent, only this thread.
             self.origin += asleep;
             if self.machine.train_runs() {
                 let text = format!("the node's thread did not run for {:.1} s", asleep.as_secs_f64());
@@ -181,7 +181,7 @@ impl Node {
         }
         self.take(Event::Tick);
         if self.machine.phase() == Phase::Idle {
-            // Looking for one device may take seconds: what is known of the others is told before.
+            // Opening one device may take seconds: the state of the others is published before.
             if self.devices.notice_lost() {
                 self.publish();
             }
@@ -249,7 +249,7 @@ impl Node {
         Ok(node_dir(&self.config.sessions_dir.join(name.as_str()), node))
     }
 
-    /// Sets exposure and gain while nobody needs the cameras.
+    /// Sets exposure and gain between sessions.
     fn expose(&mut self, request: &ExposureRequest) -> Result<ExposureSet, Fault> {
         let phase = self.machine.phase();
         if phase != Phase::Idle {
@@ -298,7 +298,7 @@ impl Node {
         drop(reply.send(answer));
     }
 
-    /// Steps the machine, and carries out what it says until it says nothing more.
+    /// Steps the machine, and carries out its actions until there are no more.
     pub(crate) fn take(&mut self, event: Event) {
         let mut events = VecDeque::from([event]);
         while let Some(event) = events.pop_front() {
@@ -306,7 +306,7 @@ impl Node {
             let preparing = begins || self.machine.phase() == Phase::Preparing;
             let actions = self.machine.step(event, self.origin.elapsed());
             if begins {
-                // Devices take their time: whoever asks meanwhile is told for what.
+                // Devices take their time: the status shows meanwhile for which session.
                 self.publish();
             }
             for action in actions {
@@ -316,7 +316,7 @@ impl Node {
                     Ok(()) if step && still => events.push_back(Event::StepDone),
                     Ok(()) => {}
                     Err(fault) if still => events.push_back(Event::Failed(fault)),
-                    // What undoes or ends something is tried, and its failure is told.
+                    // An action that undoes or ends something is tried, and its failure is logged.
                     Err(fault) => tracing::warn!("{}", fault.message),
                 }
             }

@@ -195,8 +195,8 @@ impl Node {
         }
         self.tell_actions();
         let Some(session) = &mut self.session else { return };
-        // A camera that was asked whether it still answers is found lost 2.5 s later, while this thread waited for its
-        // attendant: the recording must say so before it is closed.
+        // A camera that is probed is found lost 2.5 s later, while this thread waited for its attendant: the recording
+        // must have that report before it is closed.
         let last_words: Vec<Report> = session.reports.try_iter().collect();
         last_words.into_iter().for_each(|report| self.attendant_reports(report));
         let dropped = self.devices.hsu().map_or(0, |hsu| hsu.dropped_events());

@@ -50,7 +50,7 @@ pub(crate) struct Session {
     pub(crate) kept: Option<KeepRequest>,
     /// Frames that fit into the ring.
     pub(crate) ring_capacity: u64,
-    /// What whoever captures must know at once, by what it is about.
+    /// Notices that the operator must see at once, by their subject.
     notices: BTreeMap<String, String>,
     /// How many of the process's warnings are in the recording.
     warnings_told: usize,
@@ -58,7 +58,7 @@ pub(crate) struct Session {
 
 impl Session {
     pub(crate) fn new(request: SessionRequest, dir: PathBuf, cameras: usize) -> Self {
-        // At most one report a camera and a second; whoever has no session any more drops them.
+        // At most one report a camera and a second; a node without a session drops them.
         let (reports_in, reports) = unbounded();
         let (links_in, links) = unbounded();
         Self {
@@ -120,7 +120,7 @@ impl Session {
         self.record(event);
     }
 
-    /// Lets whoever captures know at once; `None`: what was said about this does not hold any more.
+    /// Shows the operator a notice at once; `None`: the notice on this subject does not hold any more.
     pub(crate) fn notice(&mut self, about: &str, text: Option<String>) {
         match text {
             Some(text) => drop(self.notices.insert(about.to_owned(), text)),

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Notices, from trigger to trigger, which cameras have stopped sending. Pure.
 
-/// Triggers that go by without anything heard before a camera counts as silent.
+/// Triggers that pass without a packet of a camera before it counts as silent.
 pub const SILENT_TRIGGERS: u64 = 3;
 
 /// A camera has stopped sending, or sends again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Notice {
-    /// Nothing was heard of the camera for [`SILENT_TRIGGERS`] triggers.
+    /// The camera sent nothing for [`SILENT_TRIGGERS`] triggers.
     Silent {
         camera: usize,
         /// The first of these triggers.
@@ -23,7 +23,7 @@ pub enum Notice {
 #[derive(Debug, Clone, Copy, Default)]
 struct Ear {
     heard: u64,
-    /// The first trigger after which nothing was heard.
+    /// The first trigger after which nothing was received.
     quiet_since: u64,
     silent: bool,
 }
@@ -45,19 +45,19 @@ impl SilenceWatch {
         self.ears.get(camera).is_some_and(|ear| ear.silent)
     }
 
-    /// A trigger was reported close behind another one, because reports were held up: it counts for nobody's silence.
+    /// A trigger was reported close behind another one, because reports were held up: it makes no camera silent.
     pub fn pass_over(&mut self) {
         for ear in self.ears.iter_mut().filter(|ear| !ear.silent) {
             ear.quiet_since += 1;
         }
     }
 
-    /// Trigger `index` was reported; `heard` grows with everything that comes from each camera.
+    /// Trigger `index` was reported; `heard` are the counters of received packets, one a camera.
     pub fn on_trigger(&mut self, index: u64, heard: impl IntoIterator<Item = u64>) -> Vec<Notice> {
         let mut notices = Vec::new();
         for (camera, (ear, heard)) in self.ears.iter_mut().zip(heard).enumerate() {
             if heard != ear.heard {
-                // What was heard up to now may be the frame of an earlier trigger: this one is yet to come.
+                // The packets so far may belong to the frame of an earlier trigger: those of this one are yet to come.
                 (ear.heard, ear.quiet_since) = (heard, index);
                 if std::mem::take(&mut ear.silent) {
                     notices.push(Notice::HeardAgain { camera, at: index });

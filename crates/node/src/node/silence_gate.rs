@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 const PERIODS: u32 = 10;
 /// Slow triggers and a frame do not make the silence longer than this.
 const AT_MOST: Duration = Duration::from_secs(2);
-/// After a frame that nobody triggered the silence must be longer by this factor.
+/// After a frame without a trigger the silence must be longer by this factor.
 const AFTER_A_FRAME: u32 = 4;
 /// Time between two looks at the packet counters.
 const LOOK: Duration = Duration::from_millis(10);
@@ -29,13 +29,13 @@ enum Heard {
     Loud(Vec<usize>),
 }
 
-/// Judges what is heard of cameras from the start of their streams. Pure.
+/// Judges the packet counters of the cameras from the start of their streams. Pure.
 #[derive(Debug)]
 struct Gate {
     silence: Duration,
-    /// Of each camera what was heard so far, packets.
+    /// Packets of each camera so far.
     heard: Vec<u64>,
-    /// When something was heard last.
+    /// Time of the last change of a counter, since the start.
     since: Duration,
 }
 
@@ -72,7 +72,7 @@ impl Gate {
 }
 
 impl Node {
-    /// Waits for silence; what was sent before it is nobody's.
+    /// Waits for silence; frames that were sent before it belong to no trigger.
     pub(crate) fn silence_gate(&mut self) -> Result<(), Fault> {
         let gate = self.config.silence_gate;
         let Some(session) = self.session.as_ref().filter(|_| !gate.is_zero()) else { return Ok(()) };
@@ -118,7 +118,7 @@ mod tests {
 
     const SILENCE: u64 = 250;
 
-    /// Looks every 10 ms at two cameras, of which the second has sent so much by then; what is said, and when, ms.
+    /// Looks every 10 ms at two cameras, of which the second has sent this much by then; the result, and its time, ms.
     fn judged(heard: impl Fn(u64) -> (u64, u64)) -> (Heard, u64) {
         let mut gate = Gate::new(Duration::from_millis(SILENCE), 2);
         let look = |ms| match gate.look(Duration::from_millis(ms), &[(0, 0), heard(ms)]) {

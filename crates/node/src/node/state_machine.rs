@@ -68,9 +68,9 @@ pub enum Action {
     SilenceGate,
     /// Configure and arm this node's link of the HSU.
     ArmHsu,
-    /// Tell the operator that the node is ready.
+    /// Answer the operator that the node is ready.
     ReportReady,
-    /// Tell the operator that preparation failed.
+    /// Answer the operator that preparation failed, with the reason.
     ReportFailed(Fault),
     /// Ask the HSU for the train.
     StartTrain,
@@ -88,19 +88,19 @@ pub enum Action {
     },
     /// Wait for the frames of all triggers.
     Drain {
-        /// How many triggers there were, where the HSU said so.
+        /// How many triggers there were, where the HSU reported it.
         emitted: Option<u64>,
     },
     /// Write gap records and verdict, and close the recording.
     CloseRecording {
-        /// Why the session did not end as asked for.
+        /// Why the session did not end as requested.
         aborted: Option<String>,
     },
 }
 
 /// A node that is ready but is not started gives up after this long.
 pub const READY_TIMEOUT: Duration = Duration::from_secs(120);
-/// Frames are held no longer than this: nobody pressed Record, and the projectors are warm for nothing.
+/// Frames are held no longer than this without Record, so that the projectors are not lit in vain.
 pub const HOLD_TIMEOUT: Duration = Duration::from_secs(30 * 60);
 /// A train that stays silent this long (or 20 periods, if longer) has failed.
 pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(3);
@@ -168,8 +168,7 @@ impl Machine {
         self.request.as_ref()
     }
 
-    /// Takes an event at `now` (monotonic) and says what to do. Events that mean nothing in a phase change
-    /// nothing.
+    /// Takes an event at `now` (monotonic) and returns what to do. Events that mean nothing in a phase change nothing.
     pub fn step(&mut self, event: Event, now: Duration) -> Vec<Action> {
         if !matches!(event, Event::Tick) {
             self.last_activity = now;
@@ -204,7 +203,7 @@ impl Machine {
             // It may have been started from another node, or the first report is on its way: the HSU knows, and
             // answers with the end of a train that may be empty.
             (Phase::Ready, Event::Stop) => vec![Action::StopTrain],
-            // All telemetry of a short train may be lost: the end tells that it ran.
+            // All telemetry of a short train may be lost: its end shows that it ran.
             (Phase::Ready, Event::TrainDone { emitted: 0 }) => self.give_up(
                 "the train ended before its first trigger: another node gave up, or it was stopped"
                     .to_owned(),
@@ -438,7 +437,7 @@ mod tests {
         let close = Action::CloseRecording { aborted: Some("unplugged".to_owned()) };
         let actions = m.step(Event::Tick, end + Duration::from_millis(1));
         assert_eq!(actions, [Action::StopStreams, Action::DisarmHsu, close]);
-        // The recorder may have been about to say so.
+        // The recorder may have been about to report it.
         assert_eq!(m.step(Event::Drained, end + Duration::from_millis(2)), []);
     }
 

@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Asks the HSU during a session which time codes it heard, and makes events of those that are worth recording: the first
-//! of each run, one a second, and the last.
+//! Reads during a session the time codes that the HSU received, and makes events of those that are worth recording:
+//! the first of each run, one a second, and the last.
 
 use super::event_kind::EventKind;
 use crate::hsu::{HeardTimeCodes, Hsu, HsuError, Refusal, TIME_CODE_HISTORY};
 use crate::record::{HeardTimeCode, NodeEvent};
 use std::time::Duration;
 
-/// So long after the last one a code is recorded again.
+/// Time after which a running code is recorded again: one event a second is enough to interpolate.
 const INTERVAL_NS: u64 = 1_000_000_000;
-/// So long the end of a session waits for the frame that was being sent: the longest lasts 44 ms.
+/// Time that the end of a session waits for the code frame under way: the longest lasts 44 ms.
 pub const LAST_FRAME: Duration = Duration::from_millis(60);
 
-/// What a unit can be asked of time code.
+/// The requests for time code that a unit answers.
 pub trait TimeCodeUnit {
     /// Names the input that carries it.
     fn name_input(&self, input: u8) -> Result<(), HsuError>;
@@ -35,11 +35,11 @@ impl TimeCodeUnit for Hsu {
 pub struct TimeCodeKeeper {
     /// The input; `None`: there is nothing to ask for.
     input: Option<u8>,
-    /// The unit has been told the input.
+    /// The unit knows the input since the last connection.
     named: bool,
     /// Number of the next code; `None` before the first answer.
     next: Option<u64>,
-    /// Frames that were no good, when it was asked first and last.
+    /// Counters of unreadable code frames, at the first answer and at the last.
     refused: Option<(u32, u32)>,
     last: Option<HeardTimeCode>,
     /// It came at the last look.
@@ -59,7 +59,7 @@ impl TimeCodeKeeper {
         Self { input, ..Self::default() }
     }
 
-    /// The unit was connected anew: it has to be told the input again.
+    /// The unit was connected anew: it has to receive the input again.
     pub fn reconnected(&mut self) {
         self.named = false;
     }
@@ -69,7 +69,8 @@ impl TimeCodeKeeper {
         self.is_running
     }
 
-    /// What came since the last time; nothing where the unit does not answer: it is asked again. `host_time_ns` is now.
+    /// The events since the last call; none where the unit does not answer, and the next call repeats the request.
+    /// `host_time_ns` is now.
     pub fn look(&mut self, unit: &impl TimeCodeUnit, host_time_ns: u64) -> Vec<NodeEvent> {
         let mut events = Vec::new();
         let before = self.next;
@@ -228,7 +229,7 @@ mod tests {
 
     const FRAME_NS: u64 = 40_000_000;
 
-    /// A unit that has heard these codes.
+    /// A unit that received these codes.
     #[derive(Default)]
     struct Unit {
         heard: RefCell<Vec<TimeCodeFrame>>,
@@ -276,7 +277,7 @@ mod tests {
         events.iter().map(|event| event.kind.as_str()).collect()
     }
 
-    /// Code of ten minutes, asked for five times a second: two events more than seconds.
+    /// Code of ten minutes, read five times a second: two events more than seconds.
     #[test]
     fn of_a_run_the_first_code_is_recorded_one_a_second_and_the_last() {
         let (unit, mut keeper, mut events) = (Unit::default(), TimeCodeKeeper::new(Some(3)), Vec::new());
@@ -389,7 +390,7 @@ mod tests {
             assert_eq!(keeper.absence(true), keeper.absence(false));
             assert_eq!(unit.asked.get(), 0);
         }
-        // Any other refusal is asked again.
+        // The request is repeated after any other refusal.
         let (unit, mut keeper) = (Unit::default(), TimeCodeKeeper::new(Some(3)));
         unit.refusal.set(Some(Refusal::HelloFirst));
         assert!(keeper.look(&unit, 0).is_empty());

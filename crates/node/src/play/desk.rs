@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Has frame sets of reconstructed sessions made for whoever plays them: one at a time, by one process at idle priority, and never
+//! Makes frame sets of reconstructed sessions for players: one at a time, by one process at idle priority, and never
 //! while the node is in a session (docs/design/api.md, "Playing").
 
 use super::process::{self, Answer};
@@ -25,7 +25,7 @@ pub const POINTS_EACH: usize = 40_000;
 const WAITING_MAX: usize = 16;
 /// Bytes of answers that are kept for the next who asks.
 const KEPT_BYTES: usize = 64 << 20;
-/// For so long the process waits for the next question.
+/// Time that the process waits for the next request before it is ended.
 const LINGER: Duration = Duration::from_secs(20);
 /// An answer takes no longer.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -38,7 +38,7 @@ const ALLOCATOR: [(&str, &str); 3] = [
 /// How often it is looked whether a session has begun.
 const POLL: Duration = Duration::from_millis(20);
 
-/// What of a session is asked for.
+/// The requested part of a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Wanted {
     /// What a player must know ([`Described`], JSON).
@@ -100,7 +100,7 @@ struct Maker {
     _child: Ending,
     asked: ChildStdin,
     answers: Receiver<std::io::Result<Answer>>,
-    /// What it said of the session.
+    /// The description of the session, as the process wrote it.
     told: Arc<Vec<u8>>,
     described: Described,
 }

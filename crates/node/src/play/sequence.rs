@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Holes that are told of; those beyond are not.
+/// Holes that are listed; those beyond are left out.
 const HOLES_MAX: usize = 1000;
 /// Longest reason that is passed on, characters.
 const WHY_MAX: usize = 300;
@@ -91,7 +91,7 @@ impl Sequence {
         self.sets.keys().copied()
     }
 
-    /// How many points each frame set may have, so that all together have at most so many bytes before they are packed.
+    /// Number of points of each frame set, so that all together have at most `most_bytes` before they are packed.
     pub fn points_each(&self, most_bytes: u64) -> usize {
         let share = most_bytes / self.sets.len().max(1) as u64 / POINT_BYTES as u64;
         usize::try_from(share).unwrap_or(usize::MAX).clamp(1, POINTS_MAX)

@@ -4,7 +4,7 @@
 //! The noise of a phase is that of the light over the fringes' amplitude. With the exposure it falls like the inverse
 //! where the sensor's own noise prevails, like the root of that where the photons' does: more light is always better, until a
 //! fringe's peak is cut at 255, where it has no phase. So the right exposure puts the brightest fringes just below that.
-//! Which pixels are the body is told by its fringes' amplitude relative to the largest, whatever the exposure.
+//! Pixels belong to the body where the fringes' amplitude is large enough relative to the largest, at any exposure.
 
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, SQRT_2};

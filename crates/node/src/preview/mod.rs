@@ -2,7 +2,7 @@
 //! What an operator sees of the cameras while they run: small pictures, and the figures by which exposure and focus are set.
 //!
 //! A thread of low priority renders what the taps of the recorder leave ([`crate::acquire::preview`]), at most four pictures
-//! a second and camera, and only while somebody asks for them. However many look, it renders once.
+//! a second and camera, and only while they are requested. It renders once for all clients.
 
 mod exposure;
 mod light;
@@ -28,7 +28,7 @@ const INTEREST: Duration = Duration::from_secs(2);
 /// How often the thread looks for samples.
 const POLL: Duration = Duration::from_millis(40);
 
-/// When something was last requested: work that nobody looks at is not done.
+/// When something was last requested: nothing is computed that no client looks at.
 #[derive(Debug, Default)]
 pub(crate) struct Interest(Mutex<Option<Instant>>);
 
@@ -57,7 +57,7 @@ pub struct Picture {
     pub light: Light,
 }
 
-/// What is told of a picture beside it.
+/// The description of a picture, without its pixels.
 #[derive(Debug, Clone, Serialize, utoipa::ToSchema)]
 pub struct PictureFacts {
     /// The name of the camera in the rig.
@@ -155,7 +155,7 @@ impl Shared {
         let cameras = self.requested.len();
         let mut next: Vec<Instant> = vec![Instant::now(); cameras];
         let mut done: Vec<Option<Sample>> = vec![None; cameras];
-        // Without interest it sleeps here; it ends when nobody can ask any more.
+        // Without requests it sleeps here; it ends when no client can send one any more.
         while awake.recv().is_ok() {
             while self.requested.iter().any(Interest::is_fresh) {
                 for camera in (0..cameras).filter(|camera| self.requested[*camera].is_fresh()) {

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A few frame sets of a session just recorded, as clouds that a browser can turn: does the body reconstruct?
 //!
-//! `fourdbody reconstruct` does the work in a process of its own, on time that nobody else wants, and is ended at once when
-//! the node is asked for the next session. Each node sees its own cameras; a console puts the clouds of both together.
+//! `fourdbody reconstruct` does the work in a process of its own, at idle priority, and is ended at once when the node
+//! receives a request for the next session. Each node sees its own cameras; a console puts the clouds of both
+//! together.
 
 use crate::base::ids::NodeId;
 use crate::base::regular;
@@ -32,7 +33,7 @@ const POLL: Duration = Duration::from_millis(50);
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "state")]
 pub enum Progress {
-    /// Nobody has asked for it.
+    /// It was not requested, or is not kept any more.
     #[default]
     NotAsked,
     /// The reconstruction of the frame sets runs.
@@ -44,7 +45,7 @@ pub enum Progress {
     },
     /// All clouds can be fetched.
     Ready,
-    /// The next session came first; it can be asked for again.
+    /// The next session came first; it can be requested again.
     GaveWay,
     /// No cloud could be made.
     Failed {
@@ -283,7 +284,7 @@ fn read_cloud(out: &Path, trigger: u64) -> Result<Cloud, String> {
     clouds.load(place).map(|(_, cloud)| cloud)
 }
 
-/// So many triggers in the middles of equal parts of the session.
+/// As many triggers as requested, in the middles of equal parts of the session.
 fn spread(triggers: std::ops::Range<u64>, count: usize) -> Vec<u64> {
     let (length, count) = (triggers.end.saturating_sub(triggers.start), count as u64);
     let at = |i: u64| triggers.start + (2 * i + 1) * length / (2 * count.max(1));

@@ -57,7 +57,7 @@ impl Location {
 /// Requests that are under way at once: an answer takes its time wherever the store is.
 const REQUESTS: usize = 8;
 
-/// Runs what sends requests from a rayon pool with so many of them at once.
+/// Runs `work` on a rayon pool, so that its requests are sent side by side.
 fn with_many_requests<T: Send>(work: impl FnOnce() -> Result<T, String> + Send) -> Result<T, String> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(REQUESTS).build();
     pool.map_err(|e| e.to_string())?.install(work)

@@ -21,7 +21,7 @@ use std::path::Path;
 use std::time::Duration;
 use tokio::runtime::Runtime;
 
-/// For so long a store may be silent, or refuse connections, before a request is given up.
+/// Longest time that a store may be silent, or refuse connections, before a request fails.
 const PATIENCE: Duration = Duration::from_secs(20);
 /// One answer may take this long.
 const ANSWER: Duration = Duration::from_secs(120);
@@ -208,7 +208,7 @@ impl HttpService for Connector {
     }
 }
 
-/// An error that says all that lies behind it.
+/// An error with the texts of all its causes.
 fn with_causes(error: &dyn std::error::Error) -> std::io::Error {
     let causes = std::iter::successors(Some(error), |error| error.source());
     std::io::Error::other(causes.map(ToString::to_string).collect::<Vec<_>>().join(": "))

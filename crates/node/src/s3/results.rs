@@ -126,7 +126,7 @@ impl Files {
         Ok(())
     }
 
-    /// Until it is told to stop. A store that is away is tried again; the last word is `finish`.
+    /// Sends finished files until `stop` is set. A store that does not answer is tried again; `finish` sends the rest.
     fn send_on(&self, mut sent: Sent, stop: &AtomicBool) -> Sent {
         let mut told = false;
         while !stop.load(Ordering::Acquire) {

@@ -53,7 +53,7 @@ pub struct Sample {
 /// Durations, counted in cumulative classes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Distribution {
-    /// Up to so long, s, and how many there were; each includes the ones before.
+    /// The classes by their upper bound, s; each includes the shorter ones.
     pub buckets: Vec<Bucket>,
     /// The sum of all, s.
     pub sum: f64,

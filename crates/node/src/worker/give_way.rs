@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// How often a node is asked.
+/// Time between two status requests to a node.
 const POLL: Duration = Duration::from_millis(150);
 
 /// Threads that ask the nodes; they end when this is dropped.

@@ -127,7 +127,7 @@ impl Worker {
         self.give_way.to().map(Interruption::Capture)
     }
 
-    /// What keeps any session from being worked on, and is nobody's fault.
+    /// What keeps any session from being worked on, and is not a session's fault.
     fn obstacle(&self) -> Option<Interruption> {
         let results = &self.config.results;
         let reason = match free_bytes(results) {
@@ -337,8 +337,8 @@ impl Worker {
         }
     }
 
-    /// Whether the devices still stand where the session's calibration has them, for the history: said once, before the long work,
-    /// which does not depend on it.
+    /// Checks whether the devices still stand where the session's calibration has them, for the history: once, before
+    /// the long work, which does not depend on it.
     fn check(&mut self, job: &mut Job, calibration: &Path) -> Option<Interruption> {
         let own = self.config.results.join(OWN_DIR);
         let known = Calibration::load(calibration).map_err(|e| e.to_string());
@@ -485,7 +485,7 @@ fn frame_sets(dir: &Path, output: Output) -> u64 {
     names.filter_map(|name| index(&name)).collect::<BTreeSet<u64>>().len() as u64
 }
 
-/// What the summary says of a session that is done.
+/// Takes the figures of a finished session from its summary.
 fn summarize(job: &mut Job, dir: &Path) -> Result<(), String> {
     let summary = collect_shards::load_summary(dir)?;
     if summary.session.id != job.session_id {
@@ -504,7 +504,7 @@ fn summarize(job: &mut Job, dir: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// The sessions that somebody wants before the others.
+/// The sessions that a person has put before the others.
 fn asked_first(results: &Path) -> Vec<String> {
     let text = regular::read_text(&results.join(OWN_DIR).join("first"), regular::TEXT_BYTES);
     let text = text.unwrap_or_default();

@@ -2,9 +2,9 @@
 //! Whether what an archive has of a recording is a second copy: other files, with the same bytes, which were read there.
 //!
 //! A copy that is the recording itself under another name dies with it: a link, the same directory mounted at two
-//! places, the same export of a server under two paths. Device and inode tell most of them. A server's export may have
+//! places, the same export of a server under two paths. Device and inode show most of them. A server's export may have
 //! another device number at each place; there a file that is made in the recording's directory is looked for beside the
-//! copy. What holds of two files is asked again of the same open files just before the recording is deleted.
+//! copy. The same open files are checked again just before the recording is deleted.
 
 use crate::base::{ids::printable, regular};
 use std::collections::BTreeMap;
@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 /// Read at a time while comparing, bytes.
 const BLOCK: usize = 1 << 20;
 
-/// How files begin that are made to be looked for; one that a killed process has left belongs to nobody.
+/// First characters of the probe files' names; one that a killed process left behind may be removed.
 const PROBE: &str = ".prune-probe-";
 
 /// A recording and its copy, file by file.

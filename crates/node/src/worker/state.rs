@@ -23,7 +23,7 @@ pub enum Stage {
     Reconstructing,
     /// All clouds of the session are made.
     Done,
-    /// It is not tried again unless somebody asks for it.
+    /// It is not tried again unless a person requests it.
     SetAside,
 }
 
@@ -98,7 +98,7 @@ pub enum Activity {
     Working,
     /// A node is in a session.
     GivesWay,
-    /// For something that is not a session's fault; `reason` says what.
+    /// It waits for something that is not a session's fault; `reason` names it.
     Waiting,
     /// The worker's process has ended.
     Ended,
@@ -127,7 +127,7 @@ pub struct WorkerState {
 }
 
 impl WorkerState {
-    /// What the worker of this results' directory said last.
+    /// The last state of the worker of this results' directory.
     pub fn load(results: &Path) -> Option<Self> {
         load(&results.join(OWN_DIR).join("state.json"))
     }
@@ -135,7 +135,7 @@ impl WorkerState {
     /// Writes the state for the node and for `fourdbody worker --status`.
     pub fn store(&self, results: &Path) -> io::Result<()> {
         let text = serde_json::to_string_pretty(self)?;
-        // It is written every second, and nobody asks for it after a power cut.
+        // It is written every second, and is of no use after a power cut.
         write_whole_cached(&results.join(OWN_DIR).join("state.json"), |file| file.write_all(text.as_bytes()))
     }
 

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 /// How often the worker looks at the process, and at what may be a reason to end it.
 const POLL: Duration = Duration::from_millis(50);
-/// Of what the process has said, so much is told, bytes.
+/// Length of the end of a process's output that is quoted, bytes.
 const TOLD: usize = 600;
 
 /// How a process of the worker came to its end.
@@ -33,8 +33,8 @@ pub enum Interruption {
     Obstacle(String),
 }
 
-/// Runs `fourdbody` with these arguments at idle priority; what it says goes to `log`. `look` is asked many times a second whether
-/// there is a reason to end it, and told how long the process has been running.
+/// Runs `fourdbody` with these arguments at idle priority; its output goes to `log`. `look` receives many times a
+/// second how long the process has been running, and may return a reason to end it.
 pub fn run(
     args: Vec<std::ffi::OsString>,
     log: &Path,
@@ -60,7 +60,7 @@ pub fn run(
     }
 }
 
-/// The last that a process has said.
+/// The end of a process's output.
 pub fn last_words(log: &Path) -> String {
     let bytes = regular::read(log, regular::STATEMENT_BYTES).unwrap_or_default();
     let text = String::from_utf8_lossy(&bytes);

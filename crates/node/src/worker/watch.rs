@@ -102,7 +102,8 @@ impl WorkerWatch {
         }
     }
 
-    /// What it has found of the calibration, session by session, the last so many; and why nothing is known of the others.
+    /// The results of the calibration checks, for at most the last `most` sessions; and why there are none of the
+    /// others.
     pub fn lights(&self, most: usize) -> CalibrationLights {
         let seen = self.seen();
         let checked = seen.history.iter().rev().take(most).map(|one| SessionLight {

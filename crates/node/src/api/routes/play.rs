@@ -62,7 +62,7 @@ async fn get_frame_set(
 }
 
 async fn made(shared: &Shared, name: &str, wanted: Wanted, kind: &'static str) -> Result<Response, Refusal> {
-    // Of what the worker has done alone: no name that is asked for becomes a path.
+    // Only sessions that the worker has done: no requested name becomes a path.
     let unknown =
         || Refusal::not_found(format!("no session {name:?} that a worker of this machine has reconstructed"));
     let done = shared.services.worker.done(name).ok_or_else(unknown)?;

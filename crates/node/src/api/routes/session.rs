@@ -111,7 +111,7 @@ async fn record(State(shared): State<Shared>, _: NoBody) -> Done {
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// Ends the train after the current trigger, whoever has started it; what was recorded gets its verdict.
+/// Ends the train after the current trigger, no matter who started it; what was recorded gets its verdict.
 #[utoipa::path(post, path = path::CAPTURE_STOP, tag = "capture", responses(Outcome))]
 async fn stop_capture(State(shared): State<Shared>, _: NoBody) -> Done {
     if shared.services.coordinator.stop().is_ok() {
@@ -121,7 +121,7 @@ async fn stop_capture(State(shared): State<Shared>, _: NoBody) -> Done {
     carry_out(&shared, |reply| Command::Stop(command, reply)).await
 }
 
-/// Gives the session up on all nodes, whoever has started it. What was recorded is kept.
+/// Gives the session up on all nodes, no matter who started it. What was recorded is kept.
 #[utoipa::path(post, path = path::CAPTURE_ABORT, tag = "capture", request_body = AbortReason, responses(Outcome))]
 async fn abort_capture(
     State(shared): State<Shared>,

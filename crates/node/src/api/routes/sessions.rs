@@ -38,7 +38,7 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 struct Choice {
-    /// The newest so many, 1 to 1000.
+    /// Length of the list, 1 to 1000: the newest recordings.
     #[serde(default = "fifty")]
     #[param(minimum = 1, maximum = 1000)]
     limit: usize,
@@ -47,7 +47,7 @@ struct Choice {
     search: String,
 }
 
-/// Sessions whose lights are told: as many as a console lists.
+/// Sessions in the answer with calibration lights: as many as a console lists.
 const LIGHTS_MAX: usize = 200;
 
 fn fifty() -> usize {
@@ -93,7 +93,7 @@ async fn get_free_name(
     Ok(Json(FreeName { name }))
 }
 
-/// Keeps what somebody thinks of a recording, beside it: a rating and a note. What was kept before gives way.
+/// Stores a rating and a note beside a recording. Those that were stored before are replaced.
 #[utoipa::path(post, path = path::REMARK, tag = "sessions", request_body = Remark,
     params(("name" = String, Path, description = "The session's name.")),
     responses(

@@ -9,7 +9,7 @@ use crate::config::Head;
 use crate::control::request::ExposureRequest;
 use crate::control::status::{CameraExposure, ExposureNow, ExposureSet};
 
-/// What a node file may say, too; microseconds and decibels.
+/// The bounds of the node file; microseconds and decibels.
 const LEAST_US: f64 = 0.1;
 const MOST_DB: f64 = 100.0;
 
@@ -18,11 +18,11 @@ const EXPOSURE_OR_GAIN: [&str; 6] =
     ["Exposure", "Shutter", "IntegrationTime", "Gain", "AnalogGain", "DigitalGain"];
 
 impl Devices {
-    /// Sets exposure and gain of this node's cameras of some heads: all of them, or none. Each is set up as for a session, and
-    /// read back.
+    /// Sets exposure and gain of this node's cameras of some heads: all of them, or none. Each is set up as for a
+    /// session, and read back.
     ///
     /// # Errors
-    /// [`Exit::Usage`]: what is asked for cannot be, by the rig or by a camera; [`Exit::Device`]: a camera fails.
+    /// [`Exit::Usage`]: the rig or a camera does not allow the request; [`Exit::Device`]: a camera fails.
     pub fn expose(&mut self, request: &ExposureRequest) -> Result<ExposureSet, Fault> {
         self.check(request)?;
         let is_asked =
@@ -44,7 +44,7 @@ impl Devices {
             let cameras = set.into_iter().map(|(i, camera)| self.exposed(i, camera)).collect();
             return Ok(ExposureSet { cameras });
         }
-        // A camera that takes what it had is well: what was asked for is not for it.
+        // A camera that takes its old settings works: only the request does not fit it.
         let mut exit = Exit::Usage;
         for (&i, words) in places.iter().zip(before) {
             self.slots[i].wishes.words = words;
@@ -121,7 +121,7 @@ impl Devices {
         }
     }
 
-    /// What a camera is asked for now, for the status.
+    /// The exposure and gain that a camera has to use now, for the status.
     pub(super) fn exposure_now(&self, slot: &OpenCamera) -> Option<ExposureNow> {
         let (head, wishes) = (self.head_of(slot)?, &slot.wishes);
         let left = |word| wishes.left_to_settings(word);
