@@ -118,7 +118,7 @@ impl Teller {
 
 fn tell(what: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(what) {
-        tracing::debug!("the service manager was not told: {error}");
+        tracing::debug!("the service manager was not notified: {error}");
     }
 }
 

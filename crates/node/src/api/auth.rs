@@ -134,8 +134,8 @@ impl Auth {
         if refusal.status != StatusCode::UNAUTHORIZED {
             return refusal;
         }
-        let message = "this node does not know the token: see that all of it was copied, and that it is one of this node; \
-                       whoever runs the node makes another with `fourdbody token new`";
+        let message = "this node does not know the token: check that all of it was copied, and that it belongs to this node. \
+                       Your administrator can make another one with `fourdbody token new`";
         Refusal::new(StatusCode::UNAUTHORIZED, message)
     }
 

@@ -90,7 +90,7 @@ impl<'a> Watch<'a> {
                 if heard.elapsed() < LOST_PATIENCE {
                     continue;
                 }
-                let message = format!("the node at {} does not answer any more", node.place());
+                let message = format!("the node at {} stopped answering", node.place());
                 return Err(Fault::new(Exit::Device, message));
             };
             *heard = Instant::now();
@@ -102,8 +102,7 @@ impl<'a> Watch<'a> {
                     }
                 }
                 None => {
-                    let message =
-                        format!("node {} does not know the session any more; it was restarted", status.node);
+                    let message = format!("node {} left the session: it was restarted", status.node);
                     return Err(Fault::new(Exit::Device, message));
                 }
             }

@@ -94,7 +94,7 @@ impl Watch {
                 }
                 Seen::Ended(reason) => Some(format!("node {name} ended early: {reason}")),
                 Seen::NotInSession => (seen.elapsed() > RESTART_PATIENCE)
-                    .then(|| format!("node {name} is not in the session any more; it was restarted")),
+                    .then(|| format!("node {name} left the session: it was restarted")),
                 Seen::Silent => {
                     let silent = seen.elapsed();
                     let gone = silent > UNSERVED_PATIENCE || silent > PEER_PATIENCE && !peer.is_there();

@@ -53,7 +53,7 @@ impl Captured {
     pub fn lines(&self) -> Vec<String> {
         let kind = if self.dry_run { "dry run" } else { "session" };
         let mut lines = vec![format!("{kind} {}: {}", self.name, self.verdict())];
-        lines.extend(self.absent.iter().map(|node| format!("  partial: node {node} not asked")));
+        lines.extend(self.absent.iter().map(|node| format!("  partial: node {node} took no part")));
         for (node, session) in &self.nodes {
             lines.push(format!(
                 "  node {node}: {}, {} triggers",
@@ -126,12 +126,12 @@ fn last_heard(session: &SessionStatus, dry_run: bool) -> Vec<String> {
         return vec!["    nothing recorded".to_owned()];
     }
     let camera = |camera: &CameraProgress| {
-        format!("    {}: {} frames and {} gaps when last heard of", camera.id, camera.frames, camera.gaps)
+        format!("    {}: {} frames and {} gaps at the last status", camera.id, camera.frames, camera.gaps)
     };
     let mut lines: Vec<String> = session.cameras.iter().map(camera).collect();
     let directory = session.directory.display();
     lines.push(format!(
-        "    without a verdict; what is on its disk: `fourdbody info {directory}` there, and `fourdbody recover` to complete it"
+        "    no verdict; see its disk with `fourdbody info {directory}` there, and complete it with `fourdbody recover`"
     ));
     lines
 }

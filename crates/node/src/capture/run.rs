@@ -181,10 +181,7 @@ impl fmt::Display for Stage {
             }
             Self::Stopping => write!(f, "stopping after the current trigger"),
             Self::Unanswered { place, since_s } => {
-                write!(
-                    f,
-                    "no status from {place} for {since_s} s; its session goes on, and is asked for again"
-                )
+                write!(f, "no status from {place} for {since_s} s; its session goes on")
             }
         }
     }
@@ -276,7 +273,7 @@ fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<(SessionReq
     // A dry run records nothing, and its report lists the absent nodes.
     if !absent.is_empty() && !wish.partial && !wish.dry_run {
         return Err(usage(format!(
-            "the rig has node {}, which was not asked; add it to --nodes (on a node: to its peers), or ask for a part of the rig with \
+            "the rig has node {}, which does not take part; add it to --nodes (on a node: to its peers), or record a part of the rig with \
              --partial",
             absent.join(" and node ")
         )));
@@ -374,7 +371,7 @@ pub const LOST_PATIENCE: Duration = Duration::from_secs(5);
 
 fn lost(node: &dyn Participant) -> Fault {
     let message = format!(
-        "the node at {} does not answer any more; what it recorded is on its disk, see `fourdbody verify` there",
+        "the node at {} stopped answering; its part of the recording is on its disk, see `fourdbody verify` there",
         node.place()
     );
     Fault::new(Exit::Device, message)
@@ -431,7 +428,7 @@ fn follow(
                 _ => match &mut latest[i] {
                     Some(session) => session.outcome = Some(Outcome::Failed(lost(node.as_ref()))),
                     None => {
-                        abort_all(nodes, request.session_id, "the other node does not answer any more");
+                        abort_all(nodes, request.session_id, "the other node stopped answering");
                         return Err(lost(node.as_ref()));
                     }
                 },

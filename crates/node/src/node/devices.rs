@@ -456,7 +456,7 @@ impl Devices {
             quiet_stream(camera.as_mut(), blocks, &options).map_err(|e| fault(e.to_string()))?;
         if !quiet {
             return Err(fault(
-                "packets arrive on its stream before it was told to send; expected silence: is another program, or a \
+                "packets arrive on its stream before its acquisition was started; expected silence: is another program, or a \
                  camera with the same address, streaming to this host?"
                     .to_owned(),
             ));

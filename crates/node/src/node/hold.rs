@@ -72,7 +72,7 @@ impl Node {
         let usage = |message: String| Err(Fault::new(Exit::Usage, message));
         let ours = self.machine.request().is_some_and(|ours| ours.session_id == request.session_id);
         let Some(session) = self.session.as_ref().filter(|_| ours) else {
-            return usage("the node is not in this session (any more)".to_owned());
+            return usage("the node is not in this session".to_owned());
         };
         let phase = self.machine.phase();
         if phase != Phase::Holding {

@@ -157,7 +157,7 @@ impl Node {
                 recv(links) -> hsu => if let Ok(hsu) = hsu { self.link_back(hsu) },
                 recv(stopped) -> _ => {
                     stopping = true;
-                    self.take(Event::Abort("the node was told to shut down".to_owned()));
+                    self.take(Event::Abort("the node was shut down".to_owned()));
                 }
                 default(TICK) => {}
             }
@@ -281,7 +281,7 @@ impl Node {
         let phase = self.machine.phase();
         let usage = |message: String| Err(Fault::new(Exit::Usage, message));
         let answer = match event {
-            _ if !ours => usage("the node is not in this session (any more)".to_owned()),
+            _ if !ours => usage("the node is not in this session".to_owned()),
             Event::Start if phase != Phase::Ready => {
                 usage(format!("the session cannot be started, it is {phase:?}"))
             }

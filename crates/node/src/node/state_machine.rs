@@ -209,7 +209,7 @@ impl Machine {
                     .to_owned(),
             ),
             (Phase::Ready, Event::Tick) if self.idle_for(now) > READY_TIMEOUT => {
-                self.give_up(format!("nobody started the session within {} s", READY_TIMEOUT.as_secs()))
+                self.give_up(format!("the session was not started within {} s", READY_TIMEOUT.as_secs()))
             }
             // Nothing was kept, so nothing is recorded.
             (Phase::Holding, Event::TrainDone { .. }) => self.give_up(
@@ -234,7 +234,7 @@ impl Machine {
                 self.let_go(reason)
             }
             (Phase::Holding, Event::Tick) if now.saturating_sub(self.holding_since) > HOLD_TIMEOUT => {
-                self.let_go(format!("nobody pressed Record within {} min", HOLD_TIMEOUT.as_secs() / 60))
+                self.let_go(format!("Record was not pressed within {} min", HOLD_TIMEOUT.as_secs() / 60))
             }
             (Phase::Holding, Event::Tick) if self.idle_for(now) > self.patience() => {
                 self.let_go(self.silence(now))

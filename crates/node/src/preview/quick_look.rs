@@ -143,7 +143,7 @@ impl QuickLooks {
             return Ok(());
         }
         if self.inner.busy.swap(true, Ordering::AcqRel) {
-            return Err("another session is being looked at; ask again in a few seconds".to_owned());
+            return Err("another quick look is under way; try again in a few seconds".to_owned());
         }
         self.inner.change(session, |look| *look = Look::default());
         self.inner
@@ -271,7 +271,10 @@ impl Inner {
             _ => {
                 let log = regular::read(&out.join("log"), regular::TEXT_BYTES).unwrap_or_default();
                 let text = String::from_utf8_lossy(&log);
-                let reason = format!("the reconstruction ended with {status}: {}", text.trim());
+                let reason = format!(
+                    "no body could be made (the reconstruction ended with {status}): {}",
+                    text.trim()
+                );
                 Err(Progress::Failed { reason })
             }
         }

@@ -64,7 +64,7 @@ impl Worker {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
                 let message = format!(
-                    "another worker is at work on {}; end it, or use other results",
+                    "another worker is running on {}; end it, or use another results directory",
                     config.results.display()
                 );
                 return Err(Fault::new(Exit::Usage, message));

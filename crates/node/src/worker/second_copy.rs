@@ -171,7 +171,7 @@ impl SecondCopy {
     fn look_for_a_probe(&self) -> Result<(), String> {
         let failed = |e: io::Error| {
             format!(
-                "{}: it cannot be told from its copy without writing there: {e}",
+                "{}: without writing there it cannot be distinguished from its copy: {e}",
                 self.recording.display()
             )
         };

@@ -156,11 +156,11 @@ impl WorkerState {
         });
         let reason = self.reason.as_ref().map_or_else(String::new, |reason| format!(" ({reason})"));
         let activity = match self.activity {
-            _ if self.is_stale() => "not running any more; systemctl status fourdbody-worker".to_owned(),
+            _ if self.is_stale() => "stopped; see systemctl status fourdbody-worker".to_owned(),
             Activity::Idle => "nothing to do".to_owned(),
-            Activity::Working => format!("at work on{job}"),
-            Activity::GivesWay => format!("gives way to a capture{reason}{job}"),
-            Activity::Waiting => format!("waits{reason}{job}"),
+            Activity::Working => format!("working on{job}"),
+            Activity::GivesWay => format!("paused while a node records{reason}{job}"),
+            Activity::Waiting => format!("waiting{reason}{job}"),
             Activity::Ended => "not running".to_owned(),
         };
         let (queued, done, aside) = (self.queued.len(), self.done, self.set_aside.len());

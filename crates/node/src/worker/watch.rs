@@ -91,7 +91,7 @@ impl WorkerWatch {
         });
         let otherwise = match state {
             Some(state) if !state.is_stale() && state.activity != Activity::Ended => {
-                "not reconstructed yet: the worker comes to it when no node is in a session"
+                "not reconstructed yet: the worker does it when no node is in a session"
             }
             _ => "not reconstructed: the worker is not running",
         };
@@ -116,21 +116,19 @@ impl WorkerWatch {
             session: session.clone(),
             session_id: None,
             light: CalibrationLight::Grey,
-            said: format!("not looked at: {reason}"),
+            said: format!("not checked: {reason}"),
         };
         let state = seen.state.as_ref();
         let waiting = state.into_iter().flat_map(|state| state.set_aside.iter().chain(&state.not_yet));
         let otherwise = match (&self.results, state) {
-            (None, _) => "nobody looks: this node's file names no worker ([worker])".to_owned(),
+            (None, _) => "not checked: this node's file names no worker ([worker])".to_owned(),
             (Some(results), None) => {
-                format!("nobody has looked: no worker has been at work on {}", results.display())
+                format!("not checked: no worker has run on {}", results.display())
             }
             (_, Some(state)) if state.is_stale() || state.activity == Activity::Ended => {
-                "not looked at: the worker is not running".to_owned()
+                "not checked: the worker is not running".to_owned()
             }
-            (_, Some(_)) => {
-                "not looked at yet: the worker comes to it when no node is in a session".to_owned()
-            }
+            (_, Some(_)) => "not checked yet: the worker does it when no node is in a session".to_owned(),
         };
         let sessions = checked.chain(waiting.take(most).map(unknown)).collect();
         CalibrationLights { worker: self.results.is_some(), sessions, otherwise }

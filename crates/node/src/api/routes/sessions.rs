@@ -130,7 +130,7 @@ async fn get_quick_look(State(shared): State<Shared>, Path(name): Path<String>) 
 #[utoipa::path(post, path = path::QUICK_LOOK, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
     responses(
         (status = 202, description = "It is made, or was made already."),
-        (status = 409, description = "Not configured, no such session, or another one is being looked at.", body = Fault)))]
+        (status = 409, description = "Not configured, no such session, or another quick look is under way.", body = Fault)))]
 async fn ask_quick_look(State(shared): State<Shared>, Path(name): Path<String>, _: NoBody) -> Done {
     shared.services.quick_looks.ask(&name).map_err(|reason| Fault::new(Exit::Usage, reason))?;
     Ok(StatusCode::ACCEPTED)

@@ -52,7 +52,7 @@ impl Devices {
                 exit = Exit::Device;
             }
         }
-        let message = format!("nothing was set, the cameras have what they had: {}", faults.join("\n"));
+        let message = format!("nothing was changed: {}", faults.join("\n"));
         Err(Fault::new(exit, message))
     }
 
