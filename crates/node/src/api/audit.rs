@@ -13,7 +13,7 @@ use super::refusal::Refusal;
 use super::transport::Link;
 use crate::base::time::host_time_ns;
 use crate::base::{Exit, Fault, regular};
-use crate::control::request::Phase;
+use crate::control::request::{Phase, is_zero};
 use crate::control::status::{SessionStatus, Via, path};
 use crate::control::tokens::Role;
 use axum::extract::{Request, State};
@@ -71,10 +71,6 @@ pub struct AuditLine {
     /// Refusals since the last line that got none of their own.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub unlisted: u64,
-}
-
-fn is_zero(n: &u64) -> bool {
-    *n == 0
 }
 
 /// The log's end that requests see.

@@ -34,7 +34,6 @@ use crate::config::{NodeConfig, RigCamera};
 use crate::control::command::{Command, Reply, SharedStatus};
 use crate::control::status::{NodeStatus, WorkerStatus};
 use crate::telemetry::{NodeFacts, Telemetry};
-use crate::worker::state::Activity;
 use axum::Router;
 use axum::http::StatusCode;
 use axum::middleware::from_fn_with_state;
@@ -109,7 +108,7 @@ impl State {
         status.warnings.extend(self.audit.warning());
         status.worker = self.services.worker.state().map(|state| WorkerStatus {
             line: state.line(),
-            running: !state.is_stale() && state.activity != Activity::Ended,
+            running: state.is_running(),
             set_aside: state.set_aside,
         });
         status.judgements = self.node.telemetry.judgements(&self.facts(&status));

@@ -37,7 +37,7 @@ pub struct Services {
     pub peers: Arc<Vec<Peer>>,
     /// The worker of this machine.
     pub worker: WorkerWatch,
-    _watch: Option<PeerWatch>,
+    _watch: PeerWatch,
 }
 
 /// Another node of the rig, with a client for it.
@@ -72,14 +72,8 @@ impl Services {
                 std::iter::once(Box::new(here.clone()) as Box<dyn Participant>).chain(others).collect()
             })
         };
-        let watched: Vec<(NodeId, Box<dyn Participant>)> = peers
-            .iter()
-            .map(|peer| (peer.name.clone(), Box::new(peer.client.clone()) as Box<dyn Participant>))
-            .collect();
-        let watch = match watched.is_empty() {
-            true => None,
-            false => Some(PeerWatch::start(watched, here).map_err(thread)?),
-        };
+        let watched = peers.iter().map(|peer| (peer.name.clone(), peer.client.clone())).collect();
+        let watch = PeerWatch::start(watched, here).map_err(thread)?;
         // What a peer calls another node's camera is none of its own, whatever api.peers call the peer.
         let cameras_of = |node: &NodeId| {
             let cameras = config.rig.cameras_of(node).filter(|_| *node != config.node);

@@ -7,11 +7,11 @@
 
 use super::participant::{LocalNode, Participant};
 use crate::base::ids::NodeId;
+use crate::control::client::NodeClient;
 use crate::control::request::Phase;
 use crate::control::status::{NodeStatus, Outcome, SessionStatus};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Another node that has not answered for this time ends the session here.
@@ -27,14 +27,13 @@ const RESTART_PATIENCE: Duration = Duration::from_secs(2);
 #[derive(Debug)]
 pub struct PeerWatch {
     ended: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
 }
 
 impl PeerWatch {
     /// Looks after these nodes while the node `here` is in a session with them.
-    pub fn start(peers: Vec<(NodeId, Box<dyn Participant>)>, here: LocalNode) -> std::io::Result<Self> {
+    pub fn start(peers: Vec<(NodeId, NodeClient)>, here: LocalNode) -> std::io::Result<Self> {
         let ended = Arc::new(AtomicBool::new(false));
-        let seen = Arc::clone(&ended);
+        let (seen, has_peers) = (Arc::clone(&ended), !peers.is_empty());
         let run = move || {
             let mut watch = Watch { peers, here, session: None };
             while !seen.load(Ordering::Acquire) {
@@ -42,21 +41,22 @@ impl PeerWatch {
                 std::thread::sleep(POLL);
             }
         };
-        let thread = std::thread::Builder::new().name("peers".to_owned()).spawn(run)?;
-        Ok(Self { ended, thread: Some(thread) })
+        if has_peers {
+            std::thread::Builder::new().name("peers".to_owned()).spawn(run)?;
+        }
+        Ok(Self { ended })
     }
 }
 
 impl Drop for PeerWatch {
     fn drop(&mut self) {
+        // Not waited for: it may be waiting for a node that does not answer.
         self.ended.store(true, Ordering::Release);
-        // Not waited for: it may be asking a node that does not answer.
-        drop(self.thread.take());
     }
 }
 
 struct Watch {
-    peers: Vec<(NodeId, Box<dyn Participant>)>,
+    peers: Vec<(NodeId, NodeClient)>,
     here: LocalNode,
     /// The session that is watched, and since when each peer was not seen in it.
     session: Option<(u64, Vec<Instant>)>,

@@ -8,7 +8,7 @@
 //! another address, at another time or for another request. The node proves in its answer, with [`HEADER`], that it
 //! knows the hash: the client refuses any other answer.
 
-use super::tokens::SecretHash;
+use super::tokens::{SecretHash, from_hex, hex};
 use sha2::{Digest, Sha256};
 
 /// The scheme of a proof in the `Authorization` header.
@@ -40,27 +40,19 @@ impl Asked<'_> {
 
     /// The proof for this request, which follows [`SCHEME`] in the header.
     pub fn prove(&self, secret: &str) -> String {
-        let masked = self.mask(&SecretHash::of(secret), secret.as_bytes());
-        masked.iter().map(|byte| format!("{byte:02x}")).collect()
+        hex(&self.mask(&SecretHash::of(secret), secret.as_bytes()))
     }
 
     /// Whether this proof was made with the secret of this hash; the secret, then.
     pub fn secret_of(&self, proof: &str, hash: &SecretHash) -> Option<String> {
-        let bytes = proof.as_bytes();
-        if !bytes.len().is_multiple_of(2) || bytes.len() > 2 * SECRET_BYTES_MAX {
-            return None;
-        }
-        let digit = |byte: u8| char::from(byte).to_digit(16).and_then(|digit| u8::try_from(digit).ok());
-        let pair = |pair: &[u8]| Some(digit(pair[0])? << 4 | digit(pair[1])?);
-        let masked = bytes.chunks_exact(2).map(pair).collect::<Option<Vec<u8>>>()?;
+        let masked = from_hex(proof).filter(|masked| masked.len() <= SECRET_BYTES_MAX)?;
         let secret = String::from_utf8(self.mask(hash, &masked)).ok()?;
         SecretHash::of(&secret).is(hash).then_some(secret)
     }
 
     /// The value of [`HEADER`], by which the node proves that it knows the hash.
     pub fn answer(&self, hash: &SecretHash) -> String {
-        let shown = hmac(hash.bytes(), format!("answer\n{}", self.text()).as_bytes());
-        shown.iter().map(|byte| format!("{byte:02x}")).collect()
+        hex(&hmac(hash.bytes(), format!("answer\n{}", self.text()).as_bytes()))
     }
 
     fn mask(&self, hash: &SecretHash, bytes: &[u8]) -> Vec<u8> {

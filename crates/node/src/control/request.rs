@@ -38,7 +38,7 @@ pub struct SessionRequest {
     pub on_behalf_of: Option<String>,
 }
 
-fn is_zero(number: &u64) -> bool {
+pub(crate) fn is_zero(number: &u64) -> bool {
     *number == 0
 }
 

@@ -83,30 +83,34 @@ impl SecretHash {
     }
 
     fn parse(text: &str) -> Option<Self> {
-        let bytes = text.as_bytes();
-        let mut hash = [0; 32];
-        if bytes.len() != 64 {
-            return None;
-        }
-        for (byte, pair) in hash.iter_mut().zip(bytes.chunks_exact(2)) {
-            let text = std::str::from_utf8(pair).ok().filter(|t| t.chars().all(|c| c.is_ascii_hexdigit()))?;
-            *byte = u8::from_str_radix(text, 16).ok()?;
-        }
-        Some(Self(hash))
+        from_hex(text)?.try_into().ok().map(Self)
     }
 }
 
 impl fmt::Display for SecretHash {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+        f.write_str(&hex(&self.0))
     }
+}
+
+/// Bytes as hexadecimal digits, two each.
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The bytes of hexadecimal digits, two each.
+pub(crate) fn from_hex(text: &str) -> Option<Vec<u8>> {
+    let digit = |byte: u8| char::from(byte).to_digit(16).and_then(|digit| u8::try_from(digit).ok());
+    let (pairs, rest) = text.as_bytes().as_chunks::<2>();
+    let bytes = pairs.iter().map(|&[high, low]| Some(digit(high)? << 4 | digit(low)?));
+    rest.is_empty().then(|| bytes.collect())?
 }
 
 /// 256 random bits in hexadecimal.
 pub fn random_text() -> io::Result<String> {
     let mut bytes = [0; 32];
     getrandom::fill(&mut bytes).map_err(io::Error::other)?;
-    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(hex(&bytes))
 }
 
 /// One line of a node's list.

@@ -34,12 +34,11 @@ impl Node {
         };
         let camera = |camera: &PreparedCamera| CameraHeader {
             id: camera.id.clone(),
-            width: u32::try_from(camera.contract.size.0).unwrap_or(u32::MAX),
-            height: u32::try_from(camera.contract.size.1).unwrap_or(u32::MAX),
-            device: format!(
-                "{} {} {}",
-                camera.identity.vendor, camera.identity.model, camera.identity.serial
-            ),
+            width: pixels(camera.contract.size.0),
+            height: pixels(camera.contract.size.1),
+            device: [&camera.identity.vendor, &camera.identity.model, &camera.identity.serial]
+                .map(String::as_str)
+                .join(" "),
             pixel_format: camera.contract.pixel.name().to_owned(),
             settings: camera.settings.iter().map(read_back).collect(),
             state: camera.state.clone(),
@@ -104,8 +103,8 @@ impl Node {
         };
         let lane = |camera: &PreparedCamera| LaneSetup {
             id: camera.id.clone(),
-            width: u32::try_from(camera.contract.size.0).unwrap_or(u32::MAX),
-            height: u32::try_from(camera.contract.size.1).unwrap_or(u32::MAX),
+            width: pixels(camera.contract.size.0),
+            height: pixels(camera.contract.size.1),
             matcher: Matcher::new(start),
         };
         let lanes: Vec<LaneSetup> = session.cameras.iter().map(lane).collect();
@@ -220,6 +219,10 @@ impl Node {
         remove_if_empty(&dir);
         removed.map_err(|e| Fault::new(Exit::Failure, format!("{}: cannot be removed: {e}", dir.display())))
     }
+}
+
+fn pixels(side: usize) -> u32 {
+    u32::try_from(side).unwrap_or(u32::MAX)
 }
 
 /// The HSU's clock minus the host's, ns, by the exchange with the shortest round trip.

@@ -145,6 +145,11 @@ impl WorkerState {
         self.activity != Activity::Ended && host_time_ns().saturating_sub(self.written_ns) > SILENT_NS
     }
 
+    /// Whether the worker that wrote this is still there.
+    pub fn is_running(&self) -> bool {
+        self.activity != Activity::Ended && !self.is_stale()
+    }
+
     /// The state as one line, for the console and `status`.
     pub fn line(&self) -> String {
         let job = self.job.as_ref().map_or_else(String::new, |job| {
