@@ -211,16 +211,16 @@ async fn write_down(
     line.status = status.as_u16();
     line.request = sent.and_then(|sent| serde_json::from_slice(&sent.0).ok());
     let node = shared.status();
-    let asked = line.request.as_ref().and_then(|request| request.get("session_id")?.as_u64());
-    let concerned = node.session.as_ref().filter(|session| match asked {
-        Some(asked) => session.session_id == asked,
+    let requested = line.request.as_ref().and_then(|request| request.get("session_id")?.as_u64());
+    let concerned = node.session.as_ref().filter(|session| match requested {
+        Some(requested) => session.session_id == requested,
         None => node.phase != Phase::Idle,
     });
     line.concerns(concerned);
     // A session that has just been prepared may not be in the status yet.
     let name = line.request.as_ref().and_then(|request| request.get("name")?.as_str());
-    line.session = line.session.or_else(|| asked.and(name).map(|name| name.chars().take(100).collect()));
-    line.session_id = line.session_id.or_else(|| asked.map(|id| format!("{id:016x}")));
+    line.session = line.session.or_else(|| requested.and(name).map(|name| name.chars().take(100).collect()));
+    line.session_id = line.session_id.or_else(|| requested.map(|id| format!("{id:016x}")));
     line.request = line.request.map(shortened);
     shared.audit.record(line).await;
 }

@@ -10,7 +10,7 @@ use super::refusal::Refusal;
 use super::transport::Link;
 use crate::base::Fault;
 use crate::config::ApiConfig;
-use crate::control::proof::{self, Asked};
+use crate::control::proof::{self, ProvenRequest};
 pub use crate::control::status::Via;
 use crate::control::status::path;
 use crate::control::tokens::{Role, TokenList};
@@ -145,7 +145,7 @@ impl Auth {
         if let (Some(tokens), Some(proof)) = (&self.tokens, proof_of(headers)) {
             let standing = request.extensions().get::<Standing>()?;
             let body = request.extensions().get::<Sent>().map_or(&[][..], |sent| &sent.0);
-            let asked = Asked {
+            let proven = ProvenRequest {
                 authority: headers.get(header::HOST)?.to_str().ok()?,
                 nonce: &standing.nonce,
                 method: request.method().as_str(),
@@ -153,10 +153,10 @@ impl Auth {
                 body,
             };
             let list = tokens.current();
-            let shown = list.0.iter().find(|token| asked.secret_of(proof, &token.hash).is_some())?;
+            let shown = list.0.iter().find(|token| proven.secret_of(proof, &token.hash).is_some())?;
             let (name, role) = (shown.name.clone(), shown.role);
             let caller = Caller { key: Key::Token(name.clone()), name, role, via: Via::Token };
-            return Some((caller, Some(asked.answer(&shown.hash))));
+            return Some((caller, Some(proven.answer(&shown.hash))));
         }
         Some((self.identify_plainly(link, headers, cookie)?, None))
     }

@@ -24,7 +24,7 @@ pub(crate) struct Span {
     after_stop: u64,
     /// What was decided when Record was pressed.
     keep: Option<KeepRequest>,
-    told: Vec<bool>,
+    informed: Vec<bool>,
     /// The train is stopped when this many triggers are recorded.
     stop_at: Option<u64>,
 }
@@ -40,8 +40,8 @@ impl Span {
     ) -> Result<Self, String> {
         let before = triggers_of("before Record", wish.pre_trigger_s, rate_hz)?;
         let after_stop = triggers_of("after Stop", wish.post_trigger_s, rate_hz)?;
-        let told = vec![false; nodes];
-        Ok(Self { session_id, before, behind, after_stop, keep: None, told, stop_at: None })
+        let informed = vec![false; nodes];
+        Ok(Self { session_id, before, behind, after_stop, keep: None, informed, stop_at: None })
     }
 
     /// Triggers before Record that are kept.
@@ -55,8 +55,8 @@ impl Span {
     }
 
     /// Whether the train is to be stopped now. `requested`: the operator pressed Stop, once or again.
-    pub(crate) fn stops(&mut self, asked: bool, recorded: u64) -> bool {
-        if asked {
+    pub(crate) fn stops(&mut self, requested: bool, recorded: u64) -> bool {
+        if requested {
             let waits = self.stop_at.is_none() && self.records() && recorded > 0;
             if !waits || self.after_stop == 0 {
                 return true;
@@ -92,15 +92,15 @@ impl Span {
             self.keep = Some(KeepRequest { session_id, first, pressed: end - 1 });
         }
         let Some(keep) = &self.keep else { return };
-        for ((node, told), session) in nodes.iter().zip(&mut self.told).zip(latest) {
+        for ((node, informed), session) in nodes.iter().zip(&mut self.informed).zip(latest) {
             // A node that holds nothing any more has received it, and its answer was lost.
-            let heard = || session.as_ref().is_some_and(|session| session.held.is_none());
-            if !*told {
-                *told = match node.keep(keep) {
+            let received = || session.as_ref().is_some_and(|session| session.held.is_none());
+            if !*informed {
+                *informed = match node.keep(keep) {
                     Ok(()) => true,
                     Err(fault) => {
                         tracing::warn!(place = node.place(), "Record: {}", fault.message);
-                        heard()
+                        received()
                     }
                 };
             }

@@ -139,7 +139,7 @@ impl Coordinator {
         self.change(|state| {
             state.stage = None;
             state.running = false;
-            state.asked_to_end = control.was_asked();
+            state.asked_to_end = control.end_was_requested();
             match ended {
                 Ok(ended) => state.stopped = ended.stopped,
                 Err((_, fault)) => state.fault = Some(fault),

@@ -44,13 +44,13 @@ pub(crate) struct Watch<'a> {
     nodes: Nodes<'a>,
     session_id: u64,
     /// When each node last answered.
-    heard: Vec<Instant>,
+    answered: Vec<Instant>,
 }
 
 impl<'a> Watch<'a> {
     /// All nodes have just reported that they are ready.
     pub fn new(nodes: Nodes<'a>, session_id: u64) -> Self {
-        Self { nodes, session_id, heard: vec![Instant::now(); nodes.len()] }
+        Self { nodes, session_id, answered: vec![Instant::now(); nodes.len()] }
     }
 
     /// Ends the session on every node because of a fault, and collects their own reasons: the fault that is seen first
@@ -85,15 +85,15 @@ impl<'a> Watch<'a> {
 
     /// Asks each node once; the first that is not in the session any more, with its reason.
     pub fn look(&mut self) -> Result<(), Fault> {
-        for (node, heard) in self.nodes.iter().zip(&mut self.heard) {
+        for (node, answered) in self.nodes.iter().zip(&mut self.answered) {
             let Ok(status) = node.status() else {
-                if heard.elapsed() < LOST_PATIENCE {
+                if answered.elapsed() < LOST_PATIENCE {
                     continue;
                 }
                 let message = format!("the node at {} stopped answering", node.place());
                 return Err(Fault::new(Exit::Device, message));
             };
-            *heard = Instant::now();
+            *answered = Instant::now();
             match status.session.filter(|session| session.session_id == self.session_id) {
                 Some(session) => {
                     if let Some(Outcome::Failed(fault)) = session.outcome {

@@ -79,15 +79,15 @@ impl Watch {
             if !session.nodes.contains(name) {
                 continue;
             }
-            let told = peer.status().ok();
-            let theirs = told.as_ref().and_then(|status| status.session.as_ref()?.kept);
+            let status_there = peer.status().ok();
+            let theirs = status_there.as_ref().and_then(|status| status.session.as_ref()?.kept);
             // The coordinator may be gone before all nodes received Record.
             if let Some(keep) = theirs.filter(|keep| keep.session_id == id && session.held.is_some())
                 && let Err(fault) = self.here.keep(&keep)
             {
                 tracing::warn!("Record, as node {name} has it: {}", fault.message);
             }
-            let reason = match judge(id, told.as_ref()) {
+            let reason = match judge(id, status_there.as_ref()) {
                 Seen::InSession => {
                     *seen = Instant::now();
                     continue;

@@ -63,13 +63,13 @@ pub struct Control {
     holding: AtomicBool,
     abort: Mutex<Option<String>>,
     /// An end was requested at some time.
-    asked: AtomicBool,
+    end_requested: AtomicBool,
 }
 
 impl Control {
     /// After the current trigger; what was recorded is a session as any other. Before the start: nothing is recorded.
     pub fn stop(&self) {
-        self.asked.store(true, Ordering::Release);
+        self.end_requested.store(true, Ordering::Release);
         self.stop.store(true, Ordering::Release);
     }
 
@@ -90,14 +90,14 @@ impl Control {
 
     /// Now; what was recorded is kept, with the reason.
     pub fn abort(&self, reason: &str) {
-        self.asked.store(true, Ordering::Release);
+        self.end_requested.store(true, Ordering::Release);
         let mut abort = self.abort.lock().unwrap_or_else(PoisonError::into_inner);
         abort.get_or_insert_with(|| reason.to_owned());
     }
 
     /// Whether the operator requested an end at any time, carried out or not.
-    pub fn was_asked(&self) -> bool {
-        self.asked.load(Ordering::Acquire)
+    pub fn end_was_requested(&self) -> bool {
+        self.end_requested.load(Ordering::Acquire)
     }
 
     /// Whether an end was requested; a stop is not forgotten.
@@ -228,10 +228,10 @@ pub fn capture(
     let named = statuses.iter().map(|status| status.node.to_string()).zip(sessions);
     let captured = Captured::new(request.name, wish.dry_run, absent(&statuses), named.collect());
     match failure_of_all(captured.nodes()) {
-        Some(_) if request.start_on.is_some() && control.was_asked() => {
+        Some(_) if request.start_on.is_some() && control.end_was_requested() => {
             Err(not_begun("stopped by the operator before the edge came"))
         }
-        Some(_) if !span.records() && control.was_asked() => {
+        Some(_) if !span.records() && control.end_was_requested() => {
             Err(not_begun("stopped by the operator before Record was pressed"))
         }
         Some(fault) => Err(fault),
@@ -390,7 +390,7 @@ fn follow(
     const POLL: Duration = Duration::from_millis(100);
     let mut seen = vec![Instant::now(); nodes.len()];
     let mut latest: Vec<Option<SessionStatus>> = vec![None; nodes.len()];
-    let (mut told, mut stopping, mut triggers, started) = (false, false, 0, Instant::now());
+    let (mut aborted, mut stopping, mut triggers, started) = (false, false, 0, Instant::now());
     loop {
         stopping |= span.stops(control.stop.swap(false, Ordering::AcqRel), triggers);
         if stopping {
@@ -399,7 +399,7 @@ fn follow(
             stopping = !nodes.iter().any(|node| node.stop(request.session_id).is_ok());
         }
         if let Some(reason) = control.take_abort() {
-            told = true;
+            aborted = true;
             abort_all(nodes, request.session_id, &reason);
         }
         for (i, node) in nodes.iter().enumerate() {
@@ -441,9 +441,9 @@ fn follow(
         }
         // A node that broke off ends the session for all: frames of some cameras alone are of no use.
         let broken = latest.iter().flatten().find_map(ended_early);
-        if let Some(reason) = broken.filter(|_| !told) {
+        if let Some(reason) = broken.filter(|_| !aborted) {
             let reason = format!("another node ended early: {reason}");
-            told = true;
+            aborted = true;
             abort_all(nodes, request.session_id, &reason);
         }
         let sum = |count: fn(&crate::control::status::CameraProgress) -> u64| -> u64 {

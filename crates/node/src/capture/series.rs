@@ -112,10 +112,10 @@ pub fn run(
                 done.push(captured);
                 if stopped || aborted {
                     let after = (number < of).then(|| format!("ended after take {number} of {of}"));
-                    return Ok(Ended { takes: done, stopped: after.filter(|_| control.was_asked()) });
+                    return Ok(Ended { takes: done, stopped: after.filter(|_| control.end_was_requested()) });
                 }
             }
-            Err(fault) if control.was_asked() && !done.is_empty() => {
+            Err(fault) if control.end_was_requested() && !done.is_empty() => {
                 let message = format!(
                     "take {number} of {of} was ended before it recorded anything ({})",
                     fault.message

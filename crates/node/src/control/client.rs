@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The API's client, blocking: what `capture`, `status` and `doctor` use. Over TCP, TLS or a Unix socket.
 
-use super::proof::{self, Asked};
+use super::proof::{self, ProvenRequest};
 use super::status::{Challenge, NodeStatus, path};
 use super::tokens::{SecretHash, read_secret};
 use crate::base::{Exit, Fault, json, regular};
@@ -265,13 +265,18 @@ impl Prover<'_> {
         let body = request.body().clone().collect().await?.to_bytes();
         let (method, uri) = (request.method().clone(), request.uri().clone());
         let path = uri.path_and_query().map_or("/", |path| path.as_str());
-        let asked =
-            Asked { authority: self.authority, nonce: &nonce, method: method.as_str(), path, body: &body };
-        let shown = authorization(proof::SCHEME, &asked.prove(self.secret))?;
+        let proven = ProvenRequest {
+            authority: self.authority,
+            nonce: &nonce,
+            method: method.as_str(),
+            path,
+            body: &body,
+        };
+        let shown = authorization(proof::SCHEME, &proven.prove(self.secret))?;
         request.headers_mut().insert(AUTHORIZATION, shown);
         sender.ready().await?;
         let (answer, proof) = answer_to(sender, request).await?;
-        let known = proof.is_some_and(|proof| proof == asked.answer(&SecretHash::of(self.secret)));
+        let known = proof.is_some_and(|proof| proof == proven.answer(&SecretHash::of(self.secret)));
         match known || !answer.status.is_success() {
             true => Ok(answer),
             false => {

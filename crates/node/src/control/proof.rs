@@ -20,7 +20,7 @@ const SECRET_BYTES_MAX: usize = 256;
 
 /// The request that a proof is for.
 #[derive(Debug, Clone, Copy)]
-pub struct Asked<'a> {
+pub struct ProvenRequest<'a> {
     /// `HOST:PORT` of the node, as in the `Host` header.
     pub authority: &'a str,
     pub nonce: &'a str,
@@ -30,7 +30,7 @@ pub struct Asked<'a> {
     pub body: &'a [u8],
 }
 
-impl Asked<'_> {
+impl ProvenRequest<'_> {
     /// Parts hold no line breaks, and the lengths of the last two are fixed: two requests never read the same.
     fn text(&self) -> String {
         let body = SecretHash::of_bytes(self.body);
@@ -74,12 +74,12 @@ fn hmac(key: &[u8; 32], message: &[u8]) -> [u8; 32] {
 
 #[cfg(test)]
 mod tests {
-    use super::{Asked, hmac};
+    use super::{ProvenRequest, hmac};
     use crate::control::tokens::SecretHash;
     use proptest::prelude::{prop_assert_eq, proptest};
 
-    const ASKED: Asked<'_> =
-        Asked { authority: "node-b:7402", nonce: "n", method: "POST", path: "/x?y", body: b"{}" };
+    const ASKED: ProvenRequest<'_> =
+        ProvenRequest { authority: "node-b:7402", nonce: "n", method: "POST", path: "/x?y", body: b"{}" };
 
     #[test]
     fn it_is_the_hmac_of_the_standard() {
@@ -98,11 +98,11 @@ mod tests {
             prop_assert_eq!(ASKED.secret_of(&proof, &hash), Some(secret.clone()));
             prop_assert_eq!(ASKED.secret_of(&proof, &SecretHash::of(&other)), None);
             for changed in [
-                Asked { authority: "node-a:7401", ..ASKED },
-                Asked { nonce: "m", ..ASKED },
-                Asked { method: "GET", ..ASKED },
-                Asked { path: "/x", ..ASKED },
-                Asked { body: b"", ..ASKED },
+                ProvenRequest { authority: "node-a:7401", ..ASKED },
+                ProvenRequest { nonce: "m", ..ASKED },
+                ProvenRequest { method: "GET", ..ASKED },
+                ProvenRequest { path: "/x", ..ASKED },
+                ProvenRequest { body: b"", ..ASKED },
             ] {
                 prop_assert_eq!(changed.secret_of(&proof, &hash), None);
             }

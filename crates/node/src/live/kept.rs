@@ -42,7 +42,7 @@ struct Set {
 struct Wish {
     from: u64,
     /// When the request was sent, ns; `None` before that.
-    told_ns: Option<u64>,
+    requested_ns: Option<u64>,
 }
 
 impl Kept {
@@ -61,13 +61,13 @@ impl Kept {
     pub(super) fn wish(&mut self, camera: usize, now_ns: u64) -> Option<u64> {
         let apart_ns = self.apart_ns;
         let wish = self.wishes.get_mut(camera)?;
-        match wish.told_ns {
-            Some(told_ns) if told_ns + apart_ns > now_ns => return None,
+        match wish.requested_ns {
+            Some(requested_ns) if requested_ns + apart_ns > now_ns => return None,
             // In the next session numbers begin anew.
             Some(_) => wish.from = 0,
             None => {}
         }
-        wish.told_ns = Some(now_ns);
+        wish.requested_ns = Some(now_ns);
         Some(wish.from)
     }
 
@@ -92,7 +92,7 @@ impl Kept {
         if let Some(wish) = self.wishes.get_mut(camera) {
             *wish = Wish {
                 from: (trigger / self.stride).saturating_add(1).saturating_mul(self.stride),
-                told_ns: None,
+                requested_ns: None,
             };
         }
         if !trigger.is_multiple_of(self.stride) {

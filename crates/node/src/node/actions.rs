@@ -100,7 +100,7 @@ impl Devices {
 impl Node {
     /// Puts into the recording what became of the action commands: the counts of each camera, and at which triggers it did
     /// not expose at the time of the others.
-    pub(super) fn tell_actions(&self) {
+    pub(super) fn record_actions(&self) {
         let (Some(session), Some(action)) = (&self.session, self.devices.unit().action()) else { return };
         for (camera, counts) in action.tally.counts() {
             if !counts.is_clean() {

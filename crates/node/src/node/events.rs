@@ -35,7 +35,7 @@ impl Node {
                         late: trigger.flags.contains(TriggerFlags::LATE),
                         host_time_ns,
                     };
-                    return self.in_session(|session| session.tell(command));
+                    return self.in_session(|session| session.send(command));
                 };
                 let record = TriggerRecord {
                     index,
@@ -43,9 +43,9 @@ impl Node {
                     flags: u32::from(trigger.flags.0),
                     host_time_ns,
                 };
-                self.in_session(|session| session.tell(RecorderCommand::Trigger(record)));
+                self.in_session(|session| session.send(RecorderCommand::Trigger(record)));
                 self.take(Event::Trigger);
-                self.listen(index.0);
+                self.check_silence(index.0);
             }
             HsuEvent::TriggersMissing { session, first, count } if Some(session) == ours => {
                 let message = format!("the times of {count} triggers from {first} on are lost");
@@ -107,10 +107,10 @@ impl Node {
     }
 
     /// Checks, trigger by trigger, which cameras send.
-    pub(crate) fn listen(&mut self, trigger: u64) {
+    pub(crate) fn check_silence(&mut self, trigger: u64) {
         let Some(session) = &mut self.session else { return };
         let period = Duration::from_secs_f64(1.0 / self.config.rig.trigger_rate_hz);
-        let since = session.listened.replace(Instant::now()).map(|last| last.elapsed());
+        let since = session.last_trigger.replace(Instant::now()).map(|last| last.elapsed());
         if since.is_some_and(|since| since < period / 2) {
             return session.silence.pass_over();
         }

@@ -83,21 +83,21 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
     let mut missing = None;
     let mut next_clock = Instant::now() + CLOCK_INTERVAL;
     let code_due = Instant::now() + CODE_PATIENCE;
-    let mut said = None;
+    let mut shown = None;
     let mut inputs = InputLines::default();
     let mut time_code = TimeCodeKeeper::new(unit.time_code_input());
-    let tell = |events: Vec<NodeEvent>| {
+    let record = |events: Vec<NodeEvent>| {
         events.into_iter().for_each(|event| drop(to_recorder.send(RecorderCommand::Event(event))));
     };
     let mut look = |link: &Hsu, time_code: &mut TimeCodeKeeper| {
         // The time code first: once its input is known, its edges are not reported.
-        tell(time_code.look(link, clock.now()));
-        tell(inputs.look(|first| link.input_edges(first), clock.now()));
+        record(time_code.look(link, clock.now()));
+        record(inputs.look(|first| link.input_edges(first), clock.now()));
     };
     // Once for each change.
     let mut notice = |text: Option<String>| {
-        if text != said {
-            said.clone_from(&text);
+        if text != shown {
+            shown.clone_from(&text);
             drop(reports.send(Report::Notice("time code", text)));
         }
     };
@@ -118,7 +118,7 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
                     }
                     look(link, &mut time_code);
                 }
-                tell(time_code.finish(clock.now()));
+                record(time_code.finish(clock.now()));
                 notice(time_code.absence(false));
                 return;
             }

@@ -187,7 +187,7 @@ impl Node {
             }
             self.devices.look_after();
         }
-        self.in_session(Session::tell_warnings);
+        self.in_session(Session::record_warnings);
         self.publish();
     }
 
@@ -362,13 +362,13 @@ impl Node {
             Action::StopStreams => self.stop_streams(),
             Action::DiscardRecording => self.discard_recording()?,
             Action::Keep { first, pressed } => {
-                self.in_session(|session| session.tell(RecorderCommand::Keep { first, pressed }))
+                self.in_session(|session| session.send(RecorderCommand::Keep { first, pressed }))
             }
             Action::Drain { emitted } => {
-                self.in_session(|session| session.tell(RecorderCommand::Drain { emitted }))
+                self.in_session(|session| session.send(RecorderCommand::Drain { emitted }))
             }
             Action::CloseRecording { aborted } => {
-                self.in_session(|session| session.tell(RecorderCommand::Close { aborted }))
+                self.in_session(|session| session.send(RecorderCommand::Close { aborted }))
             }
         }
         Ok(())

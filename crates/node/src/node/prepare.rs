@@ -133,7 +133,7 @@ impl Node {
         session.recorder = Some(recorder);
         session.from_recorder = from_recorder;
         session.to_recorder = Some(to_recorder.clone());
-        samples.into_iter().for_each(|sample| session.tell(RecorderCommand::Clock(sample)));
+        samples.into_iter().for_each(|sample| session.send(RecorderCommand::Clock(sample)));
         for (camera, reason) in self.devices.without_clock() {
             let message = format!("its clock cannot be read, and its stamps have no witness: {reason}");
             session.warn(session.event(EventKind::NoCameraClock, Some(camera), message));
@@ -192,7 +192,7 @@ impl Node {
                 changed.iter().map(|(name, was, is)| format!("{name} was {was}, is {is}")).collect();
             session.warn(session.event(EventKind::SettingChanged, Some(camera), changes.join("; ")));
         }
-        self.tell_actions();
+        self.record_actions();
         let Some(session) = &mut self.session else { return };
         // A camera that is probed is found lost 2.5 s later, while this thread waited for its attendant: the recording
         // must have that report before it is closed.

@@ -45,7 +45,7 @@ pub(crate) struct Session {
     pub(crate) next_trigger: i64,
     pub(crate) silence: SilenceWatch,
     /// When a trigger was last reported.
-    pub(crate) listened: Option<Instant>,
+    pub(crate) last_trigger: Option<Instant>,
     pub(crate) outcome: Option<Outcome>,
     pub(crate) kept: Option<KeepRequest>,
     /// Frames that fit into the ring.
@@ -53,7 +53,7 @@ pub(crate) struct Session {
     /// Notices that the operator must see at once, by their subject.
     notices: BTreeMap<String, String>,
     /// How many of the process's warnings are in the recording.
-    warnings_told: usize,
+    warnings_recorded: usize,
 }
 
 impl Session {
@@ -79,12 +79,12 @@ impl Session {
             links_in,
             next_trigger: 0,
             silence: SilenceWatch::new(cameras),
-            listened: None,
+            last_trigger: None,
             outcome: None,
             kept: None,
             ring_capacity: 0,
             notices: BTreeMap::new(),
-            warnings_told: 0,
+            warnings_recorded: 0,
         }
     }
 
@@ -93,7 +93,7 @@ impl Session {
         self.cameras = cameras;
     }
 
-    pub(crate) fn tell(&self, message: RecorderCommand) {
+    pub(crate) fn send(&self, message: RecorderCommand) {
         if let Some(recorder) = &self.to_recorder {
             // A recorder that is gone is noticed by its event channel.
             drop(recorder.send(message));
@@ -111,7 +111,7 @@ impl Session {
     }
 
     pub(crate) fn record(&self, event: NodeEvent) {
-        self.tell(RecorderCommand::Event(event));
+        self.send(RecorderCommand::Event(event));
     }
 
     /// Logs an event as a warning, and records it.
@@ -129,22 +129,22 @@ impl Session {
     }
 
     /// Puts what the system refused into the recording, once each.
-    pub(crate) fn tell_warnings(&mut self) {
+    pub(crate) fn record_warnings(&mut self) {
         if self.to_recorder.is_none() {
             return;
         }
         let warnings = realtime::warnings();
-        for warning in warnings.iter().skip(self.warnings_told) {
+        for warning in warnings.iter().skip(self.warnings_recorded) {
             let (kind, message) = (warning.kind.to_owned(), warning.message.clone());
             let host_time_ns = self.clock.now();
             self.record(NodeEvent { host_time_ns, kind, camera: None, trigger: None, message });
         }
-        self.warnings_told = warnings.len();
+        self.warnings_recorded = warnings.len();
     }
 
     /// Ends the recorder's thread, if it has not ended by itself.
     pub(crate) fn end_recorder(&mut self) {
-        self.tell(RecorderCommand::Discard);
+        self.send(RecorderCommand::Discard);
         self.to_recorder = None;
         self.from_recorder = never();
         if let Some(thread) = self.recorder.take()

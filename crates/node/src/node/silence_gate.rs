@@ -94,7 +94,7 @@ impl Node {
                 }
             }
         }
-        session.tell(RecorderCommand::Silent { until_ns: session.clock.now() });
+        session.send(RecorderCommand::Silent { until_ns: session.clock.now() });
         Ok(())
     }
 }

@@ -45,9 +45,9 @@ pub struct TimeCodeKeeper {
     /// It came at the last look.
     is_running: bool,
     /// It is in the recording, too.
-    is_told: bool,
+    is_recorded: bool,
     /// When the last one that was recorded began, HSU clock.
-    told_ns: u64,
+    recorded_ns: u64,
     runs: u64,
     /// Why the unit gives none, where there was to be some.
     why_none: Option<String>,
@@ -86,7 +86,7 @@ impl TimeCodeKeeper {
         self.is_running = before.is_some() && self.next != before;
         if !self.is_running {
             // It has stopped, for all that is known.
-            self.tell_last(host_time_ns, &mut events);
+            self.record_last(host_time_ns, &mut events);
         }
         events
     }
@@ -94,7 +94,7 @@ impl TimeCodeKeeper {
     /// Ends the watch with the session: the last code, and what was missing.
     pub fn finish(&mut self, host_time_ns: u64) -> Vec<NodeEvent> {
         let mut events = Vec::new();
-        self.tell_last(host_time_ns, &mut events);
+        self.record_last(host_time_ns, &mut events);
         let Some(input) = self.input else { return events };
         let refused = self.no_good();
         if let Some(message) = self.absence(false) {
@@ -201,20 +201,20 @@ impl TimeCodeKeeper {
     fn take(&mut self, heard: HeardTimeCode, host_time_ns: u64, events: &mut Vec<NodeEvent>) {
         let goes_on = self.last.is_some_and(|last| last.number + 1 == heard.number && heard.follows(&last));
         if !goes_on {
-            self.tell_last(host_time_ns, events);
+            self.record_last(host_time_ns, events);
             self.runs += 1;
         }
         self.last = Some(HeardTimeCode { run: self.runs - 1, ..heard });
-        self.is_told = false;
-        if !goes_on || heard.hsu_time_ns.saturating_sub(self.told_ns) >= INTERVAL_NS {
-            self.tell_last(host_time_ns, events);
+        self.is_recorded = false;
+        if !goes_on || heard.hsu_time_ns.saturating_sub(self.recorded_ns) >= INTERVAL_NS {
+            self.record_last(host_time_ns, events);
         }
     }
 
-    fn tell_last(&mut self, host_time_ns: u64, events: &mut Vec<NodeEvent>) {
-        let Some(last) = self.last.filter(|_| !self.is_told) else { return };
+    fn record_last(&mut self, host_time_ns: u64, events: &mut Vec<NodeEvent>) {
+        let Some(last) = self.last.filter(|_| !self.is_recorded) else { return };
         events.push(last.event(host_time_ns));
-        (self.is_told, self.told_ns) = (true, last.hsu_time_ns);
+        (self.is_recorded, self.recorded_ns) = (true, last.hsu_time_ns);
     }
 }
 

@@ -101,7 +101,7 @@ struct Maker {
     asked: ChildStdin,
     answers: Receiver<std::io::Result<Answer>>,
     /// The description of the session, as the process wrote it.
-    told: Arc<Vec<u8>>,
+    description: Arc<Vec<u8>>,
     described: Described,
 }
 
@@ -154,11 +154,11 @@ impl Work {
                 // Who has looked elsewhere meanwhile is not waited for.
                 Ok(ask) if ask.reply.is_closed() => {}
                 Ok(ask) => {
-                    let said = self.answer(&ask);
-                    if said.is_err() {
+                    let answer = self.answer(&ask);
+                    if answer.is_err() {
                         self.maker = None;
                     }
-                    drop(ask.reply.send(said));
+                    drop(ask.reply.send(answer));
                 }
                 Err(RecvTimeoutError::Timeout) => self.maker = None,
                 Err(RecvTimeoutError::Disconnected) => return,
@@ -178,7 +178,7 @@ impl Work {
         }
         let Some(maker) = &mut self.maker else { return Err(failed("the process is gone")) };
         let bytes = match ask.wanted {
-            Wanted::Description => Arc::clone(&maker.told),
+            Wanted::Description => Arc::clone(&maker.description),
             Wanted::FrameSet(trigger) if !maker.described.has(trigger) => {
                 return Ok(Made::Nothing(format!(
                     "trigger {trigger} of session {} has no cloud",
@@ -223,11 +223,11 @@ impl Work {
             .map_err(|e| failed(format!("`setpriv` (package util-linux): {e}")))?;
         let pipes = child.stdin.take().zip(child.stdout.take());
         let ending = Ending(child);
-        let (asked, mut told) = pipes.ok_or_else(|| failed("the process has no pipes"))?;
+        let (asked, mut description) = pipes.ok_or_else(|| failed("the process has no pipes"))?;
         let (found, answers) = bounded(1);
         let read = move || {
             loop {
-                let answer = process::read_answer(&mut told);
+                let answer = process::read_answer(&mut description);
                 let over = answer.is_err();
                 if found.send(answer).is_err() || over {
                     return;
@@ -235,9 +235,16 @@ impl Work {
             }
         };
         std::thread::Builder::new().name("play-answers".to_owned()).spawn(read).map_err(failed)?;
-        let told = self.wait(&answers)?.map_err(|reason| Fault::new(Exit::Corrupt, reason))?;
-        let described = json::from_slice(&told).map_err(failed)?;
-        Ok(Maker { done: done.clone(), _child: ending, asked, answers, told: Arc::new(told), described })
+        let description = self.wait(&answers)?.map_err(|reason| Fault::new(Exit::Corrupt, reason))?;
+        let described = json::from_slice(&description).map_err(failed)?;
+        Ok(Maker {
+            done: done.clone(),
+            _child: ending,
+            asked,
+            answers,
+            description: Arc::new(description),
+            described,
+        })
     }
 
     /// The next answer. An error is the end of the process.

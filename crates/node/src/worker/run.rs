@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 /// How often sessions are looked for when there is nothing to do.
 const LOOK: Duration = Duration::from_secs(2);
 /// How often progress is written down.
-const TELL: Duration = Duration::from_secs(1);
+const STATE_PERIOD: Duration = Duration::from_secs(1);
 /// How long to wait before the second attempt; twice as long before each further one.
 const RETRY: Duration = Duration::from_secs(10);
 /// With less room than this a failure is blamed on the disk: four frame sets as PLY files.
@@ -77,7 +77,7 @@ impl Worker {
 
     /// Works until it is stopped; with `once` until there is nothing to do. Whether every session found is done.
     pub fn run(&mut self, once: bool) -> Result<bool, Fault> {
-        let mut told = None;
+        let mut shown = None;
         while !self.stop.load(Ordering::Acquire) {
             let found = self.look();
             let obstacle = self.obstacle();
@@ -98,16 +98,16 @@ impl Worker {
                     None => continue,
                 },
                 (None, None) if once && self.retries == 0 => break,
-                (None, None) => self.say(Activity::Idle, None),
+                (None, None) => self.publish(Activity::Idle, None),
             }
-            if told.as_ref() != Some(&self.state.line()) {
-                told = Some(self.state.line());
+            if shown.as_ref() != Some(&self.state.line()) {
+                shown = Some(self.state.line());
                 tracing::info!("{}", self.state.line());
             }
             self.sleep(LOOK);
         }
         self.state.job = None;
-        self.say(Activity::Ended, None);
+        self.publish(Activity::Ended, None);
         Ok(self.state.queued.is_empty() && self.state.not_yet.is_empty() && self.state.set_aside.is_empty())
     }
 
@@ -146,12 +146,12 @@ impl Worker {
     fn rest(&mut self, interruption: &Interruption) {
         match interruption {
             Interruption::Stop => {}
-            Interruption::Capture(node) => self.say(Activity::GivesWay, Some(node.clone())),
-            Interruption::Obstacle(reason) => self.say(Activity::Waiting, Some(reason.clone())),
+            Interruption::Capture(node) => self.publish(Activity::GivesWay, Some(node.clone())),
+            Interruption::Obstacle(reason) => self.publish(Activity::Waiting, Some(reason.clone())),
         }
     }
 
-    fn say(&mut self, activity: Activity, reason: Option<String>) {
+    fn publish(&mut self, activity: Activity, reason: Option<String>) {
         self.state.activity = activity;
         self.state.reason = reason;
         self.state.written_ns = host_time_ns();
@@ -229,7 +229,7 @@ impl Worker {
         // Of a job that cannot be written nothing is lost: finished outputs are found again.
         if let Err(error) = job.store(&self.config.results) {
             tracing::warn!(session = job.session, "its state cannot be written: {error}");
-            self.sleep(TELL);
+            self.sleep(STATE_PERIOD);
         }
     }
 
@@ -284,7 +284,7 @@ impl Worker {
         match self.task(job, vec!["verify".into(), session.into()]) {
             Ok(Ended::ByItself(Some(0 | 3))) => None,
             Ok(Ended::ByItself(Some(4))) => {
-                Some(Outcome::SetAside(format!("verify found it corrupt: {}", self.last_words(job))))
+                Some(Outcome::SetAside(format!("verify found it corrupt: {}", self.last_output(job))))
             }
             other => Some(self.outcome(job, other)),
         }
@@ -331,7 +331,7 @@ impl Worker {
             },
             Ok(Ended::ByItself(Some(code @ (2 | 4)))) => Outcome::SetAside(format!(
                 "reconstruct ended with exit code {code}: {}",
-                self.last_words(job)
+                self.last_output(job)
             )),
             other => self.outcome(job, other),
         }
@@ -363,7 +363,7 @@ impl Worker {
             Ok(Ended::Interrupted(interruption)) => Some(interruption),
             Ok(Ended::ByItself(Some(0 | 4))) => None,
             other => {
-                tracing::warn!(session = job.session, ?other, "not checked: {}", self.last_words(job));
+                tracing::warn!(session = job.session, ?other, "not checked: {}", self.last_output(job));
                 None
             }
         }
@@ -396,9 +396,9 @@ impl Worker {
         match ended {
             Ok(Ended::Interrupted(interruption)) => Outcome::Interrupted(interruption),
             Ok(Ended::ByItself(Some(code))) => {
-                Outcome::Failed(format!("exit code {code}: {}", self.last_words(job)))
+                Outcome::Failed(format!("exit code {code}: {}", self.last_output(job)))
             }
-            Ok(Ended::ByItself(None)) => Outcome::Failed(format!("killed: {}", self.last_words(job))),
+            Ok(Ended::ByItself(None)) => Outcome::Failed(format!("killed: {}", self.last_output(job))),
             Err(error) => Outcome::Failed(format!("cannot run a process: {error}")),
         }
     }
@@ -407,8 +407,8 @@ impl Worker {
         self.config.results.join(&job.session).join("log")
     }
 
-    fn last_words(&self, job: &Job) -> String {
-        task::last_words(&self.log(job))
+    fn last_output(&self, job: &Job) -> String {
+        task::last_output(&self.log(job))
     }
 
     /// Runs a process for this job, while telling how far it is.
@@ -416,19 +416,19 @@ impl Worker {
         let log = self.log(job);
         let dir = self.config.results.join(&job.session);
         let output = self.config.output;
-        let mut told: Option<Duration> = None;
+        let mut shown: Option<Duration> = None;
         task::run(args, &log, |elapsed| {
             if let Some(interruption) = self.interruption() {
                 return Some(interruption);
             }
-            if told.is_none_or(|told| elapsed - told >= TELL) {
-                told = Some(elapsed);
+            if shown.is_none_or(|shown| elapsed - shown >= STATE_PERIOD) {
+                shown = Some(elapsed);
                 if let Some(obstacle) = self.obstacle() {
                     return Some(obstacle);
                 }
                 job.done = frame_sets(&dir, output).min(job.of);
                 self.state.job = Some(job.clone());
-                self.say(Activity::Working, None);
+                self.publish(Activity::Working, None);
             }
             None
         })

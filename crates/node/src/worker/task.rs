@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 /// How often the worker looks at the process, and at what may be a reason to end it.
 const POLL: Duration = Duration::from_millis(50);
 /// Length of the end of a process's output that is quoted, bytes.
-const TOLD: usize = 600;
+const QUOTED_BYTES: usize = 600;
 
 /// How a process of the worker came to its end.
 #[derive(Debug, PartialEq, Eq)]
@@ -61,10 +61,10 @@ pub fn run(
 }
 
 /// The end of a process's output.
-pub fn last_words(log: &Path) -> String {
+pub fn last_output(log: &Path) -> String {
     let bytes = regular::read(log, regular::STATEMENT_BYTES).unwrap_or_default();
     let text = String::from_utf8_lossy(&bytes);
     let text = text.trim();
-    let start = text.char_indices().map(|(i, _)| i).find(|i| text.len() - i <= TOLD).unwrap_or(0);
+    let start = text.char_indices().map(|(i, _)| i).find(|i| text.len() - i <= QUOTED_BYTES).unwrap_or(0);
     text[start..].to_owned()
 }
