@@ -134,8 +134,8 @@ impl Auth {
         if refusal.status != StatusCode::UNAUTHORIZED {
             return refusal;
         }
-        let message = "this node does not know the token: check that all of it was copied, and that it belongs to this node. \
-                       Your administrator can make another one with `fourdbody token new`";
+        let message = "this node does not know the token: check that all of it was copied, and that it belongs to this \
+                       node. Your administrator can make another one with `fourdbody token new`";
         Refusal::new(StatusCode::UNAUTHORIZED, message)
     }
 
@@ -234,7 +234,8 @@ pub(super) fn cookie_of<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a st
 }
 
 fn unauthenticated() -> Refusal {
-    let message = "expected `Authorization: Bearer TOKEN` with a token of this node (see `fourdbody token --help`), or a login";
+    let message = "expected a login, or `Authorization: Bearer TOKEN` with a token of this node; \
+                   see `fourdbody token --help`";
     Refusal::new(StatusCode::UNAUTHORIZED, message)
 }
 

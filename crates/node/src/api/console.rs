@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The console: a page for the dark room and what belongs to it, served from the program itself, so that it works without
-//! any network but the laboratory's.
+//! The console: a page for the dark room and what belongs to it, served from the program itself, so that it works
+//! without any network but the laboratory's.
 
 use super::Shared;
 use axum::Router;

@@ -100,7 +100,8 @@ async fn as_fault(response: Response) -> Response {
 const HEADERS: [(HeaderName, &str); 6] = [
     (
         header::CONTENT_SECURITY_POLICY,
-        "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'",
+        "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; form-action 'self'; \
+         frame-ancestors 'none'",
     ),
     (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
     (header::X_FRAME_OPTIONS, "DENY"),
@@ -140,7 +141,7 @@ fn check_host(names: &Names, link: &Link, request: &Request) -> Result<(), Refus
         return Ok(());
     }
     let message = format!(
-        "expected this node's name or address as Host, found {:?}; names other than its address go into api.hosts of the node file",
+        "expected this node's name or address as Host, found {:?}; other names go into api.hosts of the node file",
         host.unwrap_or("none")
     );
     Err(Refusal::new(StatusCode::MISDIRECTED_REQUEST, message))

@@ -44,8 +44,8 @@ impl Listing {
         Ok(Self { requests })
     }
 
-    /// The newest recordings that have this text in name, subject or notes, newest first: a JSON list of at most `limit`
-    /// [`CatalogueEntry`].
+    /// The newest recordings that have this text in name, subject or notes, newest first: a JSON list of at most
+    /// `limit` [`CatalogueEntry`].
     ///
     /// # Errors
     /// Too many requests wait.

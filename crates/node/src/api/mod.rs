@@ -4,7 +4,8 @@
 //! A request passes [`guard`] (is it for this node, from no foreign page, small, complete?), `auth` (who is it, may
 //! they?), `audit` (write down what changes something) and reaches a route. Routes know nothing of all that: what is
 //! not a look needs the role `operate` and is audited, whatever it is. To add routes, write a module below `routes`
-//! with a function `routes() -> OpenApiRouter<Shared>` and merge it in [`api`]. Pages and their files (outside `/api/`) go into [`console`]; they are open to everybody.
+//! with a function `routes() -> OpenApiRouter<Shared>` and merge it in [`api`]. Pages and their files (outside
+//! `/api/`) go into [`console`]; they are open to everybody.
 
 pub mod audit;
 pub mod auth;

@@ -12,7 +12,8 @@ use utoipa::openapi::{Components, Content, OpenApi, Ref, RefOr, ResponseBuilder}
 #[openapi(
     info(
         title = "fourdbody node",
-        description = "Control of one acquisition PC: health, devices, settings, sessions, metrics. Everything that changes something is written into an audit log. Lengths of time in microseconds unless a name says otherwise.",
+        description = "Control of one acquisition PC: health, devices, settings, sessions, metrics. Every change is \
+            written into an audit log. Durations are in microseconds unless a name states another unit.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
     ),
     components(schemas(Fault))

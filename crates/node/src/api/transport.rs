@@ -98,7 +98,8 @@ impl Listeners {
         let mut warnings = Vec::new();
         if let Some(address) = config.listen.filter(|_| config.is_on_network() && config.tls.is_none()) {
             warnings.push(format!(
-                "the API on {address} is not encrypted (api.plain_text_on_network): tokens and images can be read on the network"
+                "the API on {address} is not encrypted (api.plain_text_on_network): tokens and images \
+                 can be read there"
             ));
         }
         Ok(Self { unix, tcp, tls, warnings })

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Seconds before Record and after Stop: where the recording begins on all nodes, and when it ends by itself.
 //!
-//! While frames are held every node keeps those of the last seconds. Record names one trigger of the past, which all nodes
-//! have, as the first of the recording. What comes behind it is counted by the nodes, so the end is a trigger, too.
+//! While frames are held every node keeps those of the last seconds. Record names one trigger of the past, which all
+//! nodes have, as the first of the recording. What comes behind it is counted by the nodes, so the end is a trigger,
+//! too.
 
 use super::run::{CaptureRequest, Control, Nodes};
 use crate::control::request::KeepRequest;

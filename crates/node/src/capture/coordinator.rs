@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Captures that a node runs for its operators: the browser, or the tablet, may go; the capture goes on.
 //!
-//! One at a time. It runs the same steps as `fourdbody capture`, on a thread of its own, and keeps what came of it until the
-//! next begins.
+//! One at a time. It runs the same steps as `fourdbody capture`, on a thread of its own, and keeps what came of it
+//! until the next begins.
 
 use super::participant::Participant;
 use super::report::Captured;

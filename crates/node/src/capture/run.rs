@@ -36,8 +36,8 @@ pub struct CaptureRequest {
     pub note: Option<String>,
     /// The train starts at this edge of one of the HSU's inputs; nodes wait 120 s for it.
     pub start_on: Option<StartOn>,
-    /// Seconds before Record that are kept: the train starts, and nothing is recorded before it. Then `duration_s` or `triggers` is
-    /// counted from Record.
+    /// Seconds before Record that are kept: the train starts, and nothing is recorded before it. Then `duration_s` or
+    /// `triggers` is counted from Record.
     pub pre_trigger_s: Option<f64>,
     /// Seconds that are recorded after a stop.
     pub post_trigger_s: Option<f64>,
@@ -273,8 +273,8 @@ fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<(SessionReq
     // A dry run records nothing, and its report lists the absent nodes.
     if !absent.is_empty() && !wish.partial && !wish.dry_run {
         return Err(usage(format!(
-            "the rig has node {}, which does not take part; add it to --nodes (on a node: to its peers), or record a part of the rig with \
-             --partial",
+            "the rig has node {}, which does not take part; add it to --nodes (on a node: to its peers), or record \
+             a part of the rig with --partial",
             absent.join(" and node ")
         )));
     }

@@ -81,9 +81,9 @@ impl Series {
     }
 }
 
-/// Runs all takes. `progress` gets the number of the take and how far it is. A take that fails ends the series: what went
-/// before it is returned with the fault. Stopping a take ends the series after it; one that is stopped before it has
-/// recorded anything is no fault of a series that has recorded others.
+/// Runs all takes. `progress` gets the number of the take and how far it is. A take that fails ends the series: what
+/// went before it is returned with the fault. Stopping a take ends the series after it; one that is stopped before it
+/// has recorded anything is no fault of a series that has recorded others.
 pub fn run(
     nodes: Nodes<'_>,
     series: &Series,

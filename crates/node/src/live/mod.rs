@@ -93,7 +93,8 @@ struct Shared {
 }
 
 impl LiveBody {
-    /// Starts the threads, one that samples and, with a calibration, one that reconstructs. They end with [`Self::end`].
+    /// Starts the threads, one that samples and, with a calibration, one that reconstructs. They end with
+    /// [`Self::end`].
     pub fn start(
         taps: Arc<Taps>,
         trigger_rate_hz: f64,

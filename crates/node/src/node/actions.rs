@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Action commands in a session: whether the cameras can be triggered by them now, because their clocks are one and each
-//! answers; and in the end, what became of them.
+//! Action commands in a session: whether the cameras can be triggered by them now, because their clocks are one and
+//! each answers; and in the end, what became of them.
 
 use super::camera_keeper::{clock_readings, exchange};
 use super::devices::Devices;
@@ -98,8 +98,8 @@ impl Devices {
 }
 
 impl Node {
-    /// Puts into the recording what became of the action commands: the counts of each camera, and at which triggers it did
-    /// not expose at the time of the others.
+    /// Puts into the recording what became of the action commands: the counts of each camera, and at which triggers it
+    /// did not expose at the time of the others.
     pub(super) fn record_actions(&self) {
         let (Some(session), Some(action)) = (&self.session, self.devices.unit().action()) else { return };
         for (camera, counts) in action.tally.counts() {

@@ -121,8 +121,8 @@ pub struct PreparedCamera {
 
 /// How often one of the cameras that do not answer is looked for while the node is idle: it blocks for 2.5 s.
 const ABSENT_RETRY_INTERVAL: Duration = Duration::from_secs(15);
-/// A camera that another program controls answers at once. That program is most often this one before it crashed, and the
-/// camera is free when its heartbeat times out (3 s by default).
+/// A camera that another program controls answers at once. That program is most often this one before it crashed, and
+/// the camera is free when its heartbeat times out (3 s by default).
 const OWNED_RETRY_INTERVAL: Duration = Duration::from_millis(500);
 /// The HSU answers at once, or its absence is noticed in a second.
 const HSU_RETRY_INTERVAL: Duration = Duration::from_secs(3);
@@ -256,7 +256,8 @@ impl Devices {
         match self.backend.open(&slot.config.address) {
             Ok(camera) => {
                 let identity = camera.identity();
-                tracing::info!(camera = %slot.config.id, address = slot.config.address, model = identity.model, serial = identity.serial, "opened");
+                let (model, serial) = (&identity.model, &identity.serial);
+                tracing::info!(camera = %slot.config.id, address = slot.config.address, model, serial, "opened");
                 slot.identity = Some(identity.clone());
                 slot.camera = Some(camera);
                 slot.problem = None;
@@ -283,7 +284,8 @@ impl Devices {
     fn connect_hsu(&mut self) -> Result<(), Fault> {
         match self.unit.connect(&self.config.node, &HsuTimeouts::default()) {
             Ok(hsu) => {
-                tracing::info!(device = %self.config.trigger.device().display(), identity = identity_text(&hsu), "HSU connected");
+                let device = self.config.trigger.device();
+                tracing::info!(device = %device.display(), identity = identity_text(&hsu), "HSU connected");
                 self.hsu = Some(Arc::new(hsu));
                 self.hsu_problem = None;
                 Ok(())
@@ -456,15 +458,16 @@ impl Devices {
             quiet_stream(camera.as_mut(), blocks, &options).map_err(|e| fault(e.to_string()))?;
         if !quiet {
             return Err(fault(
-                "packets arrive on its stream before its acquisition was started; expected silence: is another program, or a \
-                 camera with the same address, streaming to this host?"
+                "packets arrive on its stream before its acquisition was started; expected silence: is another \
+                 program, or a camera with the same address, streaming to this host?"
                     .to_owned(),
             ));
         }
         Receiver::start(stream, setup.clone()).map_err(|e| fault(format!("cannot start its thread: {e}")))
     }
 
-    /// Stops acquisitions and receivers and takes the cameras back; returns each camera's stream counters, in their order.
+    /// Stops acquisitions and receivers and takes the cameras back; returns each camera's stream counters, in their
+    /// order.
     pub fn stop_streams(&mut self, attendants: Vec<CameraKeeper>) -> Vec<Vec<(String, u64)>> {
         attendants.iter().for_each(CameraKeeper::stop);
         let mut counters = Vec::new();

@@ -203,8 +203,8 @@ impl Node {
         }
     }
 
-    /// Behind the warm-up: whether a camera's place in the train is known. Where it is not, its frames are lost as those of
-    /// a camera that is away, and the session ends if it ends for one of these.
+    /// Behind the warm-up: whether a camera's place in the train is known. Where it is not, its frames are lost as
+    /// those of a camera that is away, and the session ends if it ends for one of these.
     fn place(&mut self, camera: usize, unknown: Option<String>) {
         let Some(session) = &mut self.session else { return };
         let Some(id) = session.cameras.get(camera).map(|camera| camera.id.clone()) else { return };

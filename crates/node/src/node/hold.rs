@@ -23,7 +23,8 @@ pub(crate) fn held_sets(request: &SessionRequest, rate_hz: f64) -> usize {
     }
 }
 
-/// Refuses sessions of a node that the limits of this process have no room for; `held`: frame sets that are held before Record.
+/// Refuses sessions of a node that the limits of this process have no room for; `held`: frame sets that are held
+/// before Record.
 ///
 /// # Errors
 /// The limit, by name.
@@ -48,8 +49,8 @@ impl Node {
         }
     }
 
-    /// Refuses a session that does not fit into what this process may have, or whose frames of before Record do not fit into
-    /// what this host has left.
+    /// Refuses a session that does not fit into what this process may have, or whose frames of before Record do not
+    /// fit into what this host has left.
     pub(crate) fn check_memory(&self) -> Result<(), Fault> {
         let Some(session) = &self.session else { return Ok(()) };
         let rate_hz = self.config.rig.trigger_rate_hz;
@@ -83,7 +84,7 @@ impl Node {
         // Where Record was pressed is what another node had: this one may be a little behind.
         if first > end || pressed < first {
             return usage(format!(
-                "a recording from trigger {first} on, with Record at {pressed}; expected triggers up to {end}, which are held"
+                "a recording from trigger {first} on, with Record at {pressed}; expected held triggers, up to {end}"
             ));
         }
         self.in_session(|session| session.kept = Some(*request));
@@ -100,8 +101,8 @@ fn refusal(set_bytes: u64, sets: u64, ordinary: u64, rate_hz: f64, may: u64) -> 
     let seconds = |sets: u64| (sets as f64 / rate_hz - 1.0).max(0.0);
     (needed > may).then(|| {
         format!(
-            "{:.1} s before Record need {} MiB of memory for frames; expected at most {} MiB, so that 1 GiB stays free: ask for \
-             at most {:.1} s",
+            "{:.1} s before Record need {} MiB of memory for frames; expected at most {} MiB, so that 1 GiB stays \
+             free: at most {:.1} s",
             seconds(sets),
             needed >> 20,
             may >> 20,

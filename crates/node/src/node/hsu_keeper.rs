@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The thread that keeps the link to the HSU during a session: reads its clock, its input lines and its time code, and connects
-//! anew when the link was lost, so that the train's triggers go on being reported from where they broke off.
+//! The thread that keeps the link to the HSU during a session: reads its clock, its input lines and its time code, and
+//! connects anew when the link was lost, so that the train's triggers go on being reported from where they broke off.
 
 use super::camera_keeper::Report;
 use super::input_lines::InputLines;

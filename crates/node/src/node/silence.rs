@@ -88,7 +88,9 @@ mod tests {
                 }
             }
             let silent: Vec<Notice> = notices.iter().copied().filter(|n| matches!(n, Notice::Silent { .. })).collect();
-            let of = |n: &Notice| match n { Notice::Silent { camera, .. } | Notice::HeardAgain { camera, .. } => *camera };
+            let of = |n: &Notice| match n {
+                Notice::Silent { camera, .. } | Notice::HeardAgain { camera, .. } => *camera,
+            };
             prop_assert_eq!(notices.iter().filter(|n| of(n) != 0).count(), 0, "the other camera never fell silent");
             if length >= SILENT_TRIGGERS {
                 prop_assert_eq!(silent, [Notice::Silent { camera: 0, since: start }]);

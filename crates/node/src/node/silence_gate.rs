@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The silence before a session: no camera may send while there is no trigger, its frames could be taken for those of the
-//! first ones.
+//! The silence before a session: no camera may send while there is no trigger, its frames could be taken for those of
+//! the first ones.
 //!
-//! Some cameras send one frame that they have left over when their acquisition starts. Where silence follows it, longer
-//! than the usual one, it is known for what it is, and left out by name.
+//! Some cameras send one frame that they have left over when their acquisition starts. Where silence follows it,
+//! longer than the usual one, it is known for what it is, and left out by name.
 
 use super::node_thread::Node;
 use crate::acquire::recorder::RecorderCommand;
@@ -25,7 +25,7 @@ const LOOK: Duration = Duration::from_millis(10);
 enum Heard {
     Wait,
     Silence,
-    /// By these cameras it was not.
+    /// These cameras sent frames in spite of it.
     Loud(Vec<usize>),
 }
 
@@ -103,9 +103,9 @@ fn loud(names: &[&str]) -> Fault {
     Fault::new(
         Exit::Device,
         format!(
-            "{} sent frames although nothing was triggered; expected silence before the start, but for one stray frame of a \
-             camera: check TriggerMode and TriggerSource in the node file, and that nothing else drives the trigger line; a \
-             camera that must send by itself needs silence_gate_ms = 0",
+            "{} sent frames although nothing was triggered; expected silence before the start, but for one stray \
+             frame of a camera: check TriggerMode and TriggerSource in the node file, and that nothing else drives the trigger \
+             line; a camera that must send by itself needs silence_gate_ms = 0",
             names.join(", ")
         ),
     )

@@ -8,8 +8,8 @@
 //!   +<--------------------------------- recording closed -------------------- Draining --all in--> Closing
 //! ```
 //!
-//! Where seconds before Record are wanted it is Ready --first trigger--> Holding --Record--> Running; whatever else ends
-//! Holding is undone, as in Ready.
+//! Where seconds before Record are wanted it is Ready --first trigger--> Holding --Record--> Running; whatever else
+//! ends Holding is undone, as in Ready.
 //!
 //! Invariants: an action that acquires something is undone by exactly one later action, whatever happens in
 //! between; a recording that saw a trigger is closed with a verdict, one that saw none is discarded; the
@@ -106,8 +106,8 @@ pub const HOLD_TIMEOUT: Duration = Duration::from_secs(30 * 60);
 pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(3);
 /// A link to the HSU that was lost during a train is waited for this long.
 pub const LINK_TIMEOUT: Duration = Duration::from_secs(60);
-/// The end of a train is waited for no longer than this (or 200 periods, if longer): a node that broke off without its link
-/// to the HSU cannot stop the train, and frames may come for as long as the other node lets it run.
+/// The end of a train is waited for no longer than this (or 200 periods, if longer): a node that broke off without its
+/// link to the HSU cannot stop the train, and frames may come for as long as the other node lets it run.
 pub const DRAIN_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// The state of one node's session.

@@ -29,7 +29,8 @@ const KEPT_BYTES: usize = 64 << 20;
 const LINGER: Duration = Duration::from_secs(20);
 /// An answer takes no longer.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// The process makes one cloud after the other of the same size: glibc keeps their memory (measured: half of its time otherwise).
+/// The process makes one cloud after the other of the same size: glibc keeps their memory (measured: half of its time
+/// otherwise).
 const ALLOCATOR: [(&str, &str); 3] = [
     ("MALLOC_MMAP_THRESHOLD_", "33554432"),
     ("MALLOC_TRIM_THRESHOLD_", "1073741824"),

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A frame set as few bytes for a browser, which `web/player.js` unpacks.
 //!
-//! A zlib stream of twelve planes of bytes: low and high bytes of x, y and z in tenths of a millimetre, each stored as the
-//! difference from the point before; the normal in three planes, intensity, camera, uncertainty, as [`encode`] has them. Points
-//! lie along a space-filling curve, so that differences are small.
+//! A zlib stream of twelve planes of bytes: low and high bytes of x, y and z in tenths of a millimetre, each stored as
+//! the difference from the point before; the normal in three planes, intensity, camera, uncertainty, as [`encode`] has
+//! them. Points lie along a space-filling curve, so that differences are small.
 
 use crate::data::Cloud;
 use crate::preview::quick_look::{POINT_BYTES, encode};

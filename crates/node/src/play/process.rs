@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Frame sets made on demand by a process of its own: triggers come in, a line each, answers go out in the same order.
 //!
-//! An answer is a byte (0: the requested frame set; 1: there is none, or why it cannot be made), a length (u32, little-endian), and
-//! that many bytes. The first answer, before any request, is what a player must know ([`Described`], JSON).
+//! An answer is a byte (0: the requested frame set; 1: there is none, or why it cannot be made), a length (u32,
+//! little-endian), and that many bytes. The first answer, before any request, is what a player must know
+//! ([`Described`], JSON).
 
 use super::Sequence;
 use super::sequence::Described;

@@ -37,8 +37,8 @@ pub struct Described {
     pub runs: Vec<[u64; 2]>,
     /// Triggers that were to have one and have none.
     pub holes: Vec<Hole>,
-    /// When each trigger of runs and holes was, in the order of triggers, seconds since trigger 0: by the result's own times, or by index
-    /// at the rate where it has none.
+    /// When each trigger of runs and holes was, in the order of triggers, seconds since trigger 0: by the result's own
+    /// times, or by index at the rate where it has none.
     pub seconds: Vec<f64>,
 }
 
@@ -125,7 +125,8 @@ impl Sequence {
     }
 }
 
-/// Triggers per second, and when each trigger was, seconds since trigger 0: by the times that are known, ns, else by index at `rate_hz`.
+/// Triggers per second, and when each trigger was, seconds since trigger 0: by the times that are known, ns, else by
+/// index at `rate_hz`.
 fn placed(triggers: &[u64], known_ns: &BTreeMap<u64, u64>, rate_hz: f64) -> (f64, Vec<f64>) {
     let ends = known_ns.first_key_value().zip(known_ns.last_key_value());
     let measured = ends.and_then(|((first, from), (last, to))| {

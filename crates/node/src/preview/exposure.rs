@@ -2,9 +2,10 @@
 //! What exposure would be right: one number, in EV, from how bright the fringes of the body are.
 //!
 //! The noise of a phase is that of the light over the fringes' amplitude. With the exposure it falls like the inverse
-//! where the sensor's own noise prevails, like the root of that where the photons' does: more light is always better, until a
-//! fringe's peak is cut at 255, where it has no phase. So the right exposure puts the brightest fringes just below that.
-//! Pixels belong to the body where the fringes' amplitude is large enough relative to the largest, at any exposure.
+//! where the sensor's own noise prevails, like the root of that where the photons' does: more light is always better,
+//! until a fringe's peak is cut at 255, where it has no phase. So the right exposure puts the brightest fringes just
+//! below that. Pixels belong to the body where the fringes' amplitude is large enough relative to the largest, at any
+//! exposure.
 
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, SQRT_2};

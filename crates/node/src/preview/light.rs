@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a frame's light is like: the figures by which an operator sets exposure, and sees that pattern and focus are there.
+//! What a frame's light is like: the figures by which an operator sets exposure, and sees that pattern and focus are
+//! there.
 
 use super::exposure::{Exposure, Peaks, WINDOW, quantile};
 use crate::acquire::preview::Sample;
@@ -18,8 +19,8 @@ pub struct Light {
     pub modulation_dn: f64,
     /// The same as a share of the mean there (Michelson's contrast), 0 to 1.
     pub contrast: f64,
-    /// How fine the detail is: root mean square of the second difference along the row, as a share of the modulation. It has no
-    /// unit and no right value: turn the lens until it is highest.
+    /// How fine the detail is: root mean square of the second difference along the row, as a share of the modulation.
+    /// It has no unit and no right value: turn the lens until it is highest.
     pub focus: f64,
     /// The grey value that one lit pixel in a hundred exceeds.
     pub bright_dn: f64,

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What an operator sees of the cameras while they run: small pictures, and the figures by which exposure and focus are set.
+//! What an operator sees of the cameras while they run: small pictures, and the figures by which exposure and focus
+//! are set.
 //!
-//! A thread of low priority renders what the taps of the recorder leave ([`crate::acquire::preview`]), at most four pictures
-//! a second and camera, and only while they are requested. It renders once for all clients.
+//! A thread of low priority renders what the taps of the recorder leave ([`crate::acquire::preview`]), at most four
+//! pictures a second and camera, and only while they are requested. It renders once for all clients.
 
 mod exposure;
 mod light;

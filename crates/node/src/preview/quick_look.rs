@@ -296,9 +296,9 @@ fn spread(triggers: std::ops::Range<u64>, count: usize) -> Vec<u64> {
     found
 }
 
-/// Points for a browser, little-endian, [`POINT_BYTES`] each: x, y, z as i16 in tenths of a millimetre, the normal as three
-/// i8 in 127ths, intensity as u8 in 255ths, the camera's number, and the standard uncertainty in hundredths of a millimetre
-/// (1 to 255; 0 where it is not known). A cloud of more than `most` points is thinned evenly.
+/// Points for a browser, little-endian, [`POINT_BYTES`] each: x, y, z as i16 in tenths of a millimetre, the normal as
+/// three i8 in 127ths, intensity as u8 in 255ths, the camera's number, and the standard uncertainty in hundredths of a
+/// millimetre (1 to 255; 0 where it is not known). A cloud of more than `most` points is thinned evenly.
 pub fn encode(cloud: &Cloud, most: usize) -> Vec<u8> {
     let step = cloud.len().div_ceil(most.max(1)).max(1);
     let mut bytes = Vec::with_capacity(cloud.len() / step * POINT_BYTES + POINT_BYTES);

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recordings and results in an S3-compatible object store, for machines that share no directory.
 //!
-//! `reconstruct` takes `s3://BUCKET/PREFIX` for the session and for `--out`. Recordings are read in many places and results are renamed into
-//! place, neither of which a store offers; so both are staged in a scratch directory ([`recordings`], [`results`]):
+//! `reconstruct` takes `s3://BUCKET/PREFIX` for the session and for `--out`. Recordings are read in many places and
+//! results are renamed into place, neither of which a store offers; so both are staged in a scratch directory
+//! ([`recordings`], [`results`]):
 //!
 //! ```text
-//! s3://BUCKET/SESSION/node-X/segment-NNN.mcap  -->  SCRATCH/session/...   its indexes, and the frames of the shard; holes elsewhere
-//! s3://BUCKET/OUT/phases/CAMERA_INDEX.phase    <->  SCRATCH/out/...       what is finished comes first, what is made goes back
+//! s3://BUCKET/SESSION/node-X/segment-NNN.mcap  -->  SCRATCH/session/...   indexes, and the frames of the shard
+//! s3://BUCKET/OUT/phases/CAMERA_INDEX.phase    <->  SCRATCH/out/...       finished files first, new ones go back
 //! s3://BUCKET/OUT/summary.json                 <--                        last
 //! ```
 //!

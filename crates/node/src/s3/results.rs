@@ -18,9 +18,9 @@ const FOLDERS: [(&str, &str); 3] = [("clouds", ".ply"), ("merged", ".ply"), ("ph
 /// How often finished files are looked for.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// Fetches the files of the triggers that are wanted, and the objects at the location itself whose names are; whatever they are
-/// worth, the reconstruction looks at them as at any file that it finds. Returns the names of those that were fetched: files that a run
-/// has left here stay, and may not be in the store.
+/// Fetches the files of the triggers that are wanted, and the objects at the location itself whose names are; whatever
+/// they are worth, the reconstruction looks at them as at any file that it finds. Returns the names of those that were
+/// fetched: files that a run has left here stay, and may not be in the store.
 pub fn fetch(
     remote: &Remote,
     out: &Path,

@@ -82,8 +82,8 @@ pub fn look(config: &WorkerConfig, first: &[String]) -> Inventory {
     inventory
 }
 
-/// Whether there is a recording of another session under the name of one that is done. Only those that have changed since
-/// are looked into.
+/// Whether there is a recording of another session under the name of one that is done. Only those that have changed
+/// since are looked into.
 fn recorded_since(config: &WorkerConfig, job: &Job) -> bool {
     config.nodes.iter().any(|node| {
         let part = crate::record::node_dir(&node.sessions_dir.join(&job.session), &node.name);

@@ -30,8 +30,8 @@ pub struct Judgement {
     copies: Vec<SecondCopy>,
 }
 
-/// Judges a session. `thoroughly`: every byte is compared with the archive, and what lies there is verified; otherwise only what can be
-/// seen at a glance.
+/// Judges a session. `thoroughly`: every byte is compared with the archive, and what lies there is verified; otherwise
+/// only what can be seen at a glance.
 pub fn judge(config: &WorkerConfig, session: &str, thoroughly: bool) -> Judgement {
     let mut judgement = Judgement {
         session: session.to_owned(),

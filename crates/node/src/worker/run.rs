@@ -178,7 +178,8 @@ impl Worker {
         queue::parts(&self.config, &found.name).err()
     }
 
-    /// One session, until it is done or something comes between. What kept it from being done that is not its own fault.
+    /// One session, until it is done or something comes between. What kept it from being done that is not its own
+    /// fault.
     fn work(&mut self, found: &Found) -> Option<String> {
         let results = self.config.results.clone();
         let mut job = Job::load(&results, &found.name).unwrap_or_default();
@@ -369,8 +370,8 @@ impl Worker {
         }
     }
 
-    /// The cameras of the session, in the calibration's order: of one node's recordings it has others. All of the session's must be
-    /// in it.
+    /// The cameras of the session, in the calibration's order: of one node's recordings it has others. All of the
+    /// session's must be in it.
     fn cameras(&self, calibration: &Path, session: &Path) -> Result<String, String> {
         use crate::data::FrameSource;
         let known = Calibration::load(calibration).map_err(|e| e.to_string())?;
@@ -443,8 +444,8 @@ fn keep_calibration(from: &Path, to: &Path) -> Result<(), String> {
     write_whole(to, |file| file.write_all(&text)).map_err(|e| format!("{}: {e}", to.display()))
 }
 
-/// What was made of the session with another calibration, algorithm or output is put aside, so that results are of one kind; nothing is
-/// deleted.
+/// What was made of the session with another calibration, algorithm or output is put aside, so that results are of one
+/// kind; nothing is deleted.
 fn earlier_apart(dir: &Path, calibration: &Path, output: Output) -> Result<(), String> {
     let Some(key) = Key::load(dir)? else { return Ok(()) };
     let wanted = Calibration::load(calibration).map_err(|e| e.to_string())?;

@@ -16,8 +16,8 @@ const POLL: Duration = Duration::from_secs(1);
 /// Between two looks at all results, in those.
 const LOOKS_APART: u32 = 3;
 
-/// A thread that reads the worker's files: the disk or share where they are may take its time, and nothing must wait for it. It
-/// ends when this is dropped.
+/// A thread that reads the worker's files: the disk or share where they are may take its time, and nothing must wait
+/// for it. It ends when this is dropped.
 #[derive(Debug, Default)]
 pub struct WorkerWatch {
     results: Option<PathBuf>,

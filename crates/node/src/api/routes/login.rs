@@ -81,7 +81,8 @@ async fn logout(State(shared): State<Shared>, headers: HeaderMap, _: NoBody) -> 
 }
 
 /// Who the node takes the caller for.
-#[utoipa::path(get, path = path::IDENTITY, tag = "login", responses((status = 200, description = "The caller.", body = Identity)))]
+#[utoipa::path(get, path = path::IDENTITY, tag = "login",
+    responses((status = 200, description = "The caller.", body = Identity)))]
 async fn identity(caller: Caller) -> Json<Identity> {
     Json(Identity { name: caller.name, role: caller.role, via: caller.via })
 }

@@ -32,7 +32,8 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
 }
 
 /// The node's state: devices, disk, warnings, and the session in progress or the last one.
-#[utoipa::path(get, path = path::STATUS, tag = "node", responses((status = 200, description = "The node's state.", body = NodeStatus)))]
+#[utoipa::path(get, path = path::STATUS, tag = "node",
+    responses((status = 200, description = "The node's state.", body = NodeStatus)))]
 async fn get_status(State(shared): State<Shared>) -> Json<NodeStatus> {
     let status = shared.status();
     if let Some(session) = status.session.as_ref().filter(|session| session.outcome.is_some()) {
@@ -63,14 +64,16 @@ async fn health(State(shared): State<Shared>) -> (StatusCode, Json<Health>) {
 }
 
 /// Cameras and HSU: their identities, or why they cannot be used.
-#[utoipa::path(get, path = path::DEVICES, tag = "devices", responses((status = 200, description = "The node's devices.", body = Devices)))]
+#[utoipa::path(get, path = path::DEVICES, tag = "devices",
+    responses((status = 200, description = "The node's devices.", body = Devices)))]
 async fn devices(State(shared): State<Shared>) -> Json<Devices> {
     let status = shared.status();
     Json(Devices { cameras: status.cameras, hsu: status.hsu })
 }
 
 /// The configured settings, and the values that the cameras read back.
-#[utoipa::path(get, path = path::SETTINGS, tag = "devices", responses((status = 200, description = "The node's settings.", body = Settings)))]
+#[utoipa::path(get, path = path::SETTINGS, tag = "devices",
+    responses((status = 200, description = "The node's settings.", body = Settings)))]
 async fn settings(State(shared): State<Shared>) -> Json<Settings> {
     let config = &shared.config;
     let camera = |camera: &CameraConfig| CameraSettings {
@@ -102,12 +105,13 @@ async fn settings(State(shared): State<Shared>) -> Json<Settings> {
     })
 }
 
-/// Sets exposure and gain of this node's cameras of some heads, and reads them back: of all these cameras, or of none. Only
-/// between sessions. It holds until they are set again or the node is restarted; the node file stays as it is.
+/// Sets exposure and gain of this node's cameras of some heads, and reads them back: of all these cameras, or of none.
+/// Only between sessions. It holds until they are set again or the node is restarted; the node file stays as it is.
 #[utoipa::path(post, path = path::EXPOSURE, tag = "devices", request_body = ExposureRequest,
     responses(
-        (status = 200, description = "The requested values, and those that the cameras took; none: the heads belong to other nodes.", body = ExposureSet),
-        (status = 409, description = "The node is in a session, or neither the rig nor the cameras allow it.", body = Fault),
+        (status = 200, description = "The requested values, and those that the cameras took; none on other nodes.",
+            body = ExposureSet),
+        (status = 409, description = "The node is in a session, or the rig or the cameras refuse it.", body = Fault),
         (status = 500, description = "The node failed at it.", body = Fault),
         (status = 503, description = "A camera failed, or the node is busy.", body = Fault)))]
 async fn expose(
@@ -122,20 +126,23 @@ fn families(shared: &Shared) -> Vec<Family> {
 }
 
 /// All metrics in Prometheus' text format 0.0.4.
-#[utoipa::path(get, path = path::METRICS, tag = "metrics", responses((status = 200, description = "Metrics.", body = String, content_type = "text/plain")))]
+#[utoipa::path(get, path = path::METRICS, tag = "metrics",
+    responses((status = 200, description = "Metrics.", body = String, content_type = "text/plain")))]
 async fn metrics_text(State(shared): State<Shared>) -> ([(HeaderName, &'static str); 1], String) {
     let kind = [(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")];
     (kind, exposition::text(&families(&shared)))
 }
 
 /// The same metrics as JSON.
-#[utoipa::path(get, path = path::METRICS_JSON, tag = "metrics", responses((status = 200, description = "Metrics.", body = Metrics)))]
+#[utoipa::path(get, path = path::METRICS_JSON, tag = "metrics",
+    responses((status = 200, description = "Metrics.", body = Metrics)))]
 async fn metrics(State(shared): State<Shared>) -> Json<Metrics> {
     Json(Metrics { families: families(&shared) })
 }
 
 /// This description of the API.
-#[utoipa::path(get, path = path::OPENAPI, tag = "node", responses((status = 200, description = "OpenAPI 3.1", body = serde_json::Value)))]
+#[utoipa::path(get, path = path::OPENAPI, tag = "node",
+    responses((status = 200, description = "OpenAPI 3.1", body = serde_json::Value)))]
 async fn get_description() -> Json<utoipa::openapi::OpenApi> {
     Json(description())
 }

@@ -33,7 +33,8 @@ async fn get_previews(State(shared): State<Shared>) -> Json<Vec<PictureFacts>> {
 }
 
 /// A camera's newest picture: upright, a quarter of the frame's size, saturated pixels red. 204 before the first.
-#[utoipa::path(get, path = path::PICTURE, tag = "preview", params(("camera" = String, Path, description = "Its name in the rig.")),
+#[utoipa::path(get, path = path::PICTURE, tag = "preview",
+    params(("camera" = String, Path, description = "Its name in the rig.")),
     responses(
         (status = 200, description = "The picture.", content_type = "image/png", body = Vec<u8>),
         (status = 204, description = "The camera has sent nothing yet."),
@@ -76,8 +77,8 @@ struct After {
     after: u64,
 }
 
-/// The newest frame set of all nodes as points, 12 bytes each as a quick look has them. The request keeps them coming. 204
-/// where there is nothing new; 409 where there never will be.
+/// The newest frame set of all nodes as points, 12 bytes each as a quick look has them. The request keeps them coming.
+/// 204 where there is nothing new; 409 where there never will be.
 #[utoipa::path(get, path = path::LIVE, tag = "preview", params(After),
     responses(
         (status = 200, description = "The points. The header `x-live` describes them as JSON.",

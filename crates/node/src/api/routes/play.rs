@@ -30,7 +30,8 @@ async fn get_playable(State(shared): State<Shared>) -> Json<PlayableTakes> {
 }
 
 /// What a player must know before it asks for frame sets: which triggers have a cloud, and why others have none.
-#[utoipa::path(get, path = path::FRAME_SETS, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
+#[utoipa::path(get, path = path::FRAME_SETS, tag = "sessions",
+    params(("name" = String, Path, description = "The session's name.")),
     responses(
         (status = 200, description = "The session as a sequence.", body = Described),
         (status = 404, description = "No worker of this machine has reconstructed it.", body = Fault),
@@ -41,8 +42,8 @@ async fn get_frame_sets(State(shared): State<Shared>, Path(name): Path<String>) 
     made(&shared, &name, Wanted::Description, "application/json").await
 }
 
-/// One merged frame set: a zlib stream of twelve planes of bytes (low and high bytes of x, y and z in tenths of a millimetre, each
-/// the difference from the point before; three of the normal, intensity, camera, uncertainty).
+/// One merged frame set: a zlib stream of twelve planes of bytes (low and high bytes of x, y and z in tenths of a
+/// millimetre, each the difference from the point before; three of the normal, intensity, camera, uncertainty).
 #[utoipa::path(get, path = path::FRAME_SET, tag = "sessions",
     params(
         ("name" = String, Path, description = "The session's name."),

@@ -90,7 +90,8 @@ async fn get_capture(State(shared): State<Shared>) -> Json<Option<CaptureState>>
     Json(shared.services.coordinator.state())
 }
 
-/// Begins a capture on this node and its peers: prepares all, counts down, starts the train, and follows it to the verdict.
+/// Begins a capture on this node and its peers: prepares all, counts down, starts the train, and follows it to the
+/// verdict.
 #[utoipa::path(post, path = path::CAPTURE, tag = "capture", request_body = Series, responses(
     (status = 202, description = "It has begun.", body = CaptureBegun),
     (status = 409, description = "A capture is under way, or the request is wrong in itself.", body = Fault),

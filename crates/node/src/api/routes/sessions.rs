@@ -69,7 +69,8 @@ async fn get_sessions(
 }
 
 /// One recording of this node.
-#[utoipa::path(get, path = path::SESSION, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
+#[utoipa::path(get, path = path::SESSION, tag = "sessions",
+    params(("name" = String, Path, description = "The session's name.")),
     responses(
         (status = 200, description = "The recording.", body = CatalogueEntry),
         (status = 404, description = "This node has no such session.", body = Fault),
@@ -80,7 +81,8 @@ async fn get_session(State(shared): State<Shared>, Path(name): Path<String>) -> 
 }
 
 /// This name, or the first number after it under which nothing is recorded here: `walk`, `walk-02`, and so on.
-#[utoipa::path(get, path = path::FREE_NAME, tag = "sessions", params(("name" = String, Path, description = "The name that is wanted.")),
+#[utoipa::path(get, path = path::FREE_NAME, tag = "sessions",
+    params(("name" = String, Path, description = "The name that is wanted.")),
     responses(
         (status = 200, description = "A free name.", body = FreeName),
         (status = 409, description = "No session can have this name, or all its numbers are taken.", body = Fault),
@@ -120,24 +122,26 @@ async fn remark(State(shared): State<Shared>, Path(name): Path<String>, Body(rem
 }
 
 /// How far the look at a session is. Every session is looked at when it has been recorded, where that is configured.
-#[utoipa::path(get, path = path::QUICK_LOOK, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
+#[utoipa::path(get, path = path::QUICK_LOOK, tag = "sessions",
+    params(("name" = String, Path, description = "The session's name.")),
     responses((status = 200, description = "The look.", body = Look)))]
 async fn get_quick_look(State(shared): State<Shared>, Path(name): Path<String>) -> Json<Look> {
     Json(shared.services.quick_looks.of(&name))
 }
 
 /// Asks for a look at a session: a few frame sets, reconstructed at idle priority.
-#[utoipa::path(post, path = path::QUICK_LOOK, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
+#[utoipa::path(post, path = path::QUICK_LOOK, tag = "sessions",
+    params(("name" = String, Path, description = "The session's name.")),
     responses(
         (status = 202, description = "It is made, or was made already."),
-        (status = 409, description = "Not configured, no such session, or another quick look is under way.", body = Fault)))]
+        (status = 409, description = "Not configured, no such session, or another one is under way.", body = Fault)))]
 async fn ask_quick_look(State(shared): State<Shared>, Path(name): Path<String>, _: NoBody) -> Done {
     shared.services.quick_looks.ask(&name).map_err(|reason| Fault::new(Exit::Usage, reason))?;
     Ok(StatusCode::ACCEPTED)
 }
 
-/// The cloud of one frame set of a look, this node's cameras: 12 bytes a point, little-endian: x, y, z (i16, tenths of a
-/// millimetre), normal (three i8, 127ths), intensity (u8, 255ths), camera (u8), zero.
+/// The cloud of one frame set of a look, this node's cameras: 12 bytes a point, little-endian: x, y, z (i16, tenths of
+/// a millimetre), normal (three i8, 127ths), intensity (u8, 255ths), camera (u8), zero.
 #[utoipa::path(get, path = path::QUICK_LOOK_CLOUD, tag = "sessions",
     params(
         ("name" = String, Path, description = "The session's name."),
@@ -163,7 +167,8 @@ async fn get_calibration_lights(State(shared): State<Shared>) -> Json<Calibratio
     Json(shared.services.worker.lights(LIGHTS_MAX))
 }
 
-/// How far each device has moved what it sees since its calibration, over time: the plot of the worker of this node's machine.
+/// How far each device has moved what it sees since its calibration, over time: the plot of the worker of this node's
+/// machine.
 #[utoipa::path(get, path = path::CALIBRATION_PLOT, tag = "sessions",
     responses(
         (status = 200, description = "The plot.", content_type = "image/svg+xml", body = String),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Exposure and gain of the cameras of a head, set between sessions: as the node file's words, until they are set again or
-//! the node is started anew.
+//! Exposure and gain of the cameras of a head, set between sessions: as the node file's words, until they are set
+//! again or the node is started anew.
 
 use super::{Devices, OpenCamera, PreparedCamera};
 use crate::base::{Exit, Fault};
@@ -74,7 +74,8 @@ impl Devices {
             let most = self.most_us(head);
             if let Some(us) = request.exposure_us.filter(|us| !(LEAST_US..=most).contains(us)) {
                 return refused(format!(
-                    "head {}: expected an exposure from {LEAST_US} to {most:.1} us, which ends within the trigger period, found {us}",
+                    "head {}: expected an exposure from {LEAST_US} to {most:.1} us, which ends within the trigger \
+                     period, found {us}",
                     head.id
                 ));
             }
@@ -87,7 +88,7 @@ impl Devices {
             for (word, said) in [("exposure_us", request.exposure_us), ("gain_db", request.gain_db)] {
                 if is_asked && said.is_some() && slot.wishes.left_to_settings(word) {
                     return refused(format!(
-                        "camera {}: the node file leaves {word} to its raw settings (left_to_settings): change it there",
+                        "camera {}: the node file leaves {word} to raw settings (left_to_settings): change it there",
                         slot.config.id
                     ));
                 }
