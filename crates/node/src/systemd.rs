@@ -38,7 +38,7 @@ pub struct Notifier {
     thread: Option<JoinHandle<()>>,
 }
 
-/// How often the status is looked at.
+/// Time between two looks at the status.
 const LOOK: Duration = Duration::from_millis(200);
 
 impl Notifier {

@@ -33,13 +33,13 @@ use tokio::sync::oneshot;
 
 /// Longest time that an answer waits for its line.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Lines that wait for the disk.
+/// Number of lines that may wait for the disk.
 const WAITING_MAX: usize = 256;
-/// A file of this size becomes `NAME.1`, that one `NAME.2`, and so on.
+/// Size in bytes at which a file becomes `NAME.1`, that one `NAME.2`, and so on.
 const FILE_BYTES_MAX: u64 = 8 << 20;
-/// Files that are kept besides the one that is written.
+/// Number of files that are kept besides the current one.
 const FILES_KEPT: usize = 9;
-/// Refusals that get a line; the others are counted in the next one.
+/// Rate of refusals that get a line; the others are counted in the next one.
 const REFUSAL_LINES: Rate = Rate { per_second: 0.2, burst: 20.0 };
 
 /// One line of the audit log.

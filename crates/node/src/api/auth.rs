@@ -52,7 +52,7 @@ pub struct Auth {
     refusals: Buckets,
 }
 
-/// The token file is looked at this often: a revoked token works no longer than that.
+/// Time between two looks at the token file: a revoked token works no longer than that.
 const LOOK_INTERVAL: Duration = Duration::from_millis(500);
 
 struct Tokens {

@@ -20,7 +20,7 @@ macro_rules! served {
     };
 }
 
-/// The files of `web/`, with where they are served and as what.
+/// The files of `web/` with their paths and content types.
 const FILES: [(&str, &str, &str); 29] = served![
     HTML "play.html",
     HTML "subject.html",
@@ -52,7 +52,7 @@ const FILES: [(&str, &str, &str); 29] = served![
     SCRIPT "verdict.js",
     ICON "icon.svg",
 ];
-/// What is there when nothing is named.
+/// The page at the path `/`.
 const PAGE: (&str, &str, &str) = ("/", HTML, include_str!("../../../../web/index.html"));
 
 /// The routes of all these files.

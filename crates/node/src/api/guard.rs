@@ -96,7 +96,8 @@ async fn as_fault(response: Response) -> Response {
     Refusal::new(status, if text.is_empty() { status.to_string() } else { text.into_owned() }).into_response()
 }
 
-/// On every answer. The console is served from the node alone: scripts, styles, images and connections are its own.
+/// Headers of every answer. The console is served by the node alone: scripts, styles, images and connections are its
+/// own.
 const HEADERS: [(HeaderName, &str); 6] = [
     (
         header::CONTENT_SECURITY_POLICY,

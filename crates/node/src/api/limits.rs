@@ -6,27 +6,27 @@ use std::net::{IpAddr, Ipv6Addr};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The whole head of a request must be there after this long.
+/// Time within which the whole head of a request must arrive.
 pub const HEADER: Duration = Duration::from_secs(5);
-/// And its whole body after this long.
+/// Time within which the whole body of a request must arrive.
 pub const BODY: Duration = Duration::from_secs(5);
 /// A client that reads nothing for this time is disconnected.
 pub const STALL: Duration = Duration::from_secs(5);
-/// Bytes of a request's body.
+/// Largest body of a request, bytes.
 pub const BODY_BYTES_MAX: usize = 64 << 10;
-/// Bytes of a request's head.
+/// Largest head of a request, bytes.
 pub const HEADER_BYTES_MAX: usize = 32 << 10;
-/// Header lines of a request.
+/// Most header lines of a request.
 pub const HEADERS_MAX: usize = 64;
-/// Connections of all callers that have shown who they are, at the same time.
+/// Most connections of all authenticated callers at the same time.
 pub const CONNECTIONS_MAX: usize = 128;
-/// Connections of one caller at the same time.
+/// Most connections of one caller at the same time.
 pub const CONNECTIONS_OF_ONE_MAX: usize = 48;
-/// Connections of all callers that may only look: the rest is for those who run sessions.
+/// Most connections of all callers with the role `view`: the rest is for those who run sessions.
 pub const LOOKERS_MAX: usize = 64;
-/// Connections whose client has not shown who it is; a new one closes the oldest of the address that has most.
+/// Most connections whose client has not authenticated; a new one closes the oldest of the address that has most.
 pub const STRANGERS_MAX: usize = 64;
-/// The same of one address.
+/// Most connections of one address whose client has not authenticated.
 pub const STRANGERS_OF_ONE_MAX: usize = 32;
 /// Requests of one caller: how many a second, and how many at once after a pause.
 pub const REQUESTS: Rate = Rate { per_second: 200.0, burst: 400.0 };

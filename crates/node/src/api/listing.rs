@@ -16,11 +16,11 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 use tokio::sync::oneshot;
 
-/// Recordings that are kept in mind: the newest ones.
+/// Number of recordings that are kept in memory: the newest ones.
 pub const LISTED_MAX: usize = 1000;
 /// Requests that may wait for the thread; a further one is refused.
 const WAITING_MAX: usize = 64;
-/// Between two looks at the disk.
+/// Least time between two looks at the disk.
 const PAUSE: Duration = Duration::from_millis(250);
 
 /// A request, which sends its own answer: the client may be gone.

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 /// A login ends after this time in any case: a working day.
 pub const LIFETIME: Duration = Duration::from_secs(12 * 3600);
-/// Logins at the same time; the oldest gives way.
+/// Most logins at the same time; a further one ends the oldest.
 const LOGINS_MAX: usize = 256;
 
 struct Login {

@@ -12,7 +12,7 @@ use crate::base::{Exit, Fault};
 use serde::Serialize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The nodes that captures are run on; made anew for each.
+/// Makes the list of nodes for a capture; called anew for each.
 pub type Participants = Arc<dyn Fn() -> Vec<Box<dyn Participant>> + Send + Sync>;
 
 /// The capture under way, or the last one.
@@ -34,13 +34,15 @@ pub struct CaptureState {
     pub takes: Vec<serde_json::Value>,
     /// Why the series ended with a failure.
     pub fault: Option<Fault>,
-    /// Where the operator ended it before its last take: what became of the take that was under way.
+    /// Where the operator ended it before its last take: the state of the take under way.
     pub stopped: Option<String>,
     /// Whether the operator requested an end.
     pub asked_to_end: bool,
 }
 
-/// Runs the captures of a node's operators, one at a time.
+/// Runs the captures of a node's operators, one at a time. The API's server makes it at its start and shares it among
+/// requests. Each capture has a thread of its own, which goes on when the browser is closed; its state is kept until
+/// the next capture begins.
 #[derive(Clone)]
 pub struct Coordinator {
     cast: Participants,

@@ -6,7 +6,7 @@ use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault};
 use std::path::Path;
 
-/// Numbers go up to here.
+/// The largest number of a take.
 const NUMBER_MAX: u32 = 9999;
 
 /// The name after this one: `walk` is followed by `walk-02`, `walk-07` by `walk-08`.

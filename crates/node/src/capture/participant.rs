@@ -91,12 +91,13 @@ pub struct LocalNode {
 }
 
 impl LocalNode {
-    /// By what the API's server also uses.
+    /// A node in this process, by the channel and status that its API uses.
     pub fn new(commands: Sender<Command>, status: SharedStatus) -> Self {
         Self { commands, status }
     }
 
-    /// Must not be called from a thread of the API's runtime: it waits.
+    /// Sends a command to the node's thread and waits for the answer. Must not be called from a thread of the API's
+    /// runtime.
     fn ask(&self, command: impl FnOnce(Reply) -> Command) -> Result<(), Fault> {
         let gone = || Fault::new(Exit::Failure, "the node is shutting down");
         let (reply, answer) = oneshot::channel();

@@ -52,7 +52,7 @@ pub struct CaptureRequest {
     pub on_behalf_of: Option<String>,
 }
 
-/// Nodes that are ready wait for 120 s.
+/// Longest countdown, s: half of the 120 s that nodes which are ready wait.
 pub const COUNTDOWN_MAX_S: u32 = 60;
 
 /// The operator's requests to a capture that runs: Record, Stop and Abort.
@@ -366,7 +366,7 @@ pub(crate) fn abort_all(nodes: Nodes<'_>, session_id: u64, reason: &str) {
     }
 }
 
-/// A node that is silent about the session for this long is lost.
+/// Time without a status of the session after which a node counts as lost.
 pub const LOST_PATIENCE: Duration = Duration::from_secs(5);
 
 fn lost(node: &dyn Participant) -> Fault {

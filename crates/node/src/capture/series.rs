@@ -30,7 +30,7 @@ pub struct Series {
 pub struct Ended {
     /// The takes, in their order.
     pub takes: Vec<Captured>,
-    /// Where the operator ended it before its last take: what became of the take that was under way.
+    /// Where the operator ended it before its last take: the state of the take under way.
     pub stopped: Option<String>,
 }
 
@@ -38,9 +38,9 @@ fn one() -> u32 {
     1
 }
 
-/// More takes than this are a slip of the finger.
+/// Most takes of a series: more are taken for a typing error.
 pub const TAKES_MAX: u32 = 99;
-/// As are pauses longer than this.
+/// Longest pause between takes, s: a longer one is taken for a typing error.
 pub const PAUSE_MAX_S: u32 = 3600;
 
 impl Series {
@@ -65,7 +65,7 @@ impl Series {
         Ok(())
     }
 
-    /// The wish of take 1, 2, ...; `last` is the name of the take before it.
+    /// The request of take 1, 2, ...; `last` is the name of the take before it.
     fn take(&self, nodes: Nodes<'_>, number: u32, last: Option<&str>) -> Result<CaptureRequest, Fault> {
         let mut wish = self.wish.clone();
         let Some(name) = wish.name.as_mut() else { return Ok(wish) };

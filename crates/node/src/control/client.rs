@@ -58,7 +58,7 @@ impl fmt::Debug for NodeClient {
 
 /// Longest time that an answer may take, unless the caller names another one.
 pub const TIMEOUT: Duration = Duration::from_secs(10);
-/// No answer of a node is longer.
+/// Longest answer of a node that is read, bytes.
 const ANSWER_BYTES_MAX: usize = 64 << 20;
 /// The system's certificates, as Debian's `ca-certificates` installs them.
 const SYSTEM_CA: &str = "/etc/ssl/certs/ca-certificates.crt";

@@ -13,9 +13,9 @@ use sha2::{Digest, Sha256};
 
 /// The scheme of a proof in the `Authorization` header.
 pub const SCHEME: &str = "Proof ";
-/// With which the node shows that it knows the hash.
+/// The header with which the node proves that it knows the hash.
 pub const HEADER: &str = "fourdbody-proof";
-/// Of a secret; as `fourdbody token` reads them.
+/// Longest secret, bytes, as `fourdbody token` reads them.
 const SECRET_BYTES_MAX: usize = 256;
 
 /// The request that a proof is for.

@@ -11,7 +11,7 @@ use crate::reconstruct::Reconstructor;
 use crate::reconstruct::outcome::Outcome;
 use serde::Serialize;
 
-/// Points of all cameras that a browser gets at most.
+/// Most points of all cameras that a browser receives.
 pub const POINTS_MAX: usize = 48_000;
 
 /// How a camera sees the body.

@@ -9,9 +9,9 @@ use crate::acquire::preview::Sample;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// Frame sets a second that are sampled at most.
+/// Most frame sets that are sampled in a second.
 const MOST_PER_S: f64 = 15.0;
-/// Triggers whose rows are kept.
+/// Number of triggers whose rows are kept.
 const KEPT: usize = 6;
 
 /// The rows of some cameras, by their place.

@@ -30,7 +30,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How often threads look for what is new.
+/// Time between two looks for new samples and frame sets.
 const POLL: Duration = Duration::from_millis(4);
 /// Time between two looks while no client requests the body.
 const REST: Duration = Duration::from_millis(100);
@@ -73,7 +73,9 @@ pub struct Peer {
     pub cameras: Vec<CameraId>,
 }
 
-/// The live body of a node.
+/// The live body of a node. The API's server starts it with two threads of low priority: one samples the frames, the
+/// other reconstructs them where a calibration is configured. Both work only while a client requests the body, and end
+/// with the server.
 #[derive(Clone)]
 pub struct LiveBody {
     shared: Arc<Shared>,

@@ -13,11 +13,11 @@ use crate::host::realtime;
 use crate::record::{ACTIONS_AT_ONCE, ptp_keeps};
 use std::time::{Duration, Instant};
 
-/// Cameras agree on a master and set their clocks within this.
+/// Longest time in which the cameras agree on a PTP master and set their clocks.
 const PTP_PATIENCE: Duration = Duration::from_secs(30);
 /// Time between two looks at the cameras' PTP status.
 const POLL: Duration = Duration::from_millis(250);
-/// Clocks that PTP keeps together differ by less, ns, besides what reading them leaves open.
+/// Clocks that PTP keeps together differ by less than this, ns, besides the uncertainty of reading them.
 const APART_NS: i128 = 100_000;
 
 impl Devices {

@@ -47,23 +47,23 @@ enum Order {
     Stop,
 }
 
-/// Everything an attendant works with.
+/// Everything that the thread of one camera works with.
 pub struct AttendantSetup {
     /// The camera, open and streaming.
     pub camera: OpenCamera,
     pub backend: SharedBackend,
     /// How its stream is set up.
     pub options: StreamOptions,
-    /// Its receiver's setup, for another one.
+    /// The setup of its receiver, for the next stream.
     pub receiver: ReceiverSetup,
     /// Number of frame buffers that each stream gets.
     pub blocks: usize,
     pub pool: Pool,
     pub to_recorder: Sender<RecorderCommand>,
     pub reports: Sender<Report>,
-    /// The clock of all cameras, where this is the one by which it is known.
+    /// The clock that all cameras share, where this camera's readings stand for it.
     pub ptp: Option<PtpClock>,
-    /// Who must know by what clock it acts, where action commands are scheduled by PTP.
+    /// Receives the camera's PTP status, where action commands are scheduled by PTP.
     pub actions: Option<ActionTally>,
 }
 
@@ -77,15 +77,15 @@ pub struct CameraKeeper {
 /// What an attendant gives back: the camera, if it is there, and the counters of its last stream.
 pub type Returned = (OpenCamera, Vec<(String, u64)>);
 
-/// Between two readings of a camera's clock.
+/// Time between two readings of a camera's clock.
 const CLOCK_INTERVAL: Duration = Duration::from_secs(1);
-/// Between two attempts to open a lost camera.
+/// Time between two attempts to open a lost camera.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
-/// Readings of a clock at once, before a session and when a camera is back.
+/// Number of readings of a clock before a session, and when a camera is back.
 pub const CLOCK_BURST: usize = 16;
-/// Readings where frames are in doubt: one more than it takes to believe that a clock was set.
+/// Number of clock readings where frames are in doubt: one more than it takes to believe that a clock was set.
 const READINGS: usize = RESET_RUN + 1;
-/// Before a stream that came back is started, whatever its socket caught of other cameras must have passed.
+/// Time before a stream that came back is started, in which its socket drops packets of other cameras.
 const SETTLE: Duration = Duration::from_millis(300);
 
 impl CameraKeeper {

@@ -119,18 +119,20 @@ pub struct PreparedCamera {
     pub state: State,
 }
 
-/// How often one of the cameras that do not answer is looked for while the node is idle: it blocks for 2.5 s.
+/// Time between two attempts to open an absent camera while the node is idle: each attempt blocks for 2.5 s.
 const ABSENT_RETRY_INTERVAL: Duration = Duration::from_secs(15);
-/// A camera that another program controls answers at once. That program is most often this one before it crashed, and
-/// the camera is free when its heartbeat times out (3 s by default).
+/// The same for a camera that another program controls, which answers at once. That program is most often this one
+/// before it crashed, and the camera is free when its heartbeat times out (3 s by default).
 const OWNED_RETRY_INTERVAL: Duration = Duration::from_millis(500);
-/// The HSU answers at once, or its absence is noticed in a second.
+/// Time between two attempts to connect to the HSU: its absence is noticed in a second.
 const HSU_RETRY_INTERVAL: Duration = Duration::from_secs(3);
 
-/// The camera by whose clock the one that all share is known.
+/// The place of the camera whose clock readings stand for the clock that all cameras share.
 const REFERENCE: usize = 0;
 
-/// All devices of the node.
+/// All devices of the node: its cameras, its link to the HSU, and the frame memory. The node's thread makes them at
+/// its start and keeps them open between sessions. During a session each camera belongs to its attendant, which gives
+/// it back when the streams are stopped.
 pub struct Devices {
     backend: SharedBackend,
     slots: Vec<OpenCamera>,

@@ -73,7 +73,7 @@ impl Node {
         }
     }
 
-    /// The HSU is of no more use for this session.
+    /// The HSU cannot be used in this session any more.
     pub(crate) fn hsu_gone(&mut self, reason: String) {
         let message = lost_link_text(&reason);
         self.devices.drop_hsu(message.clone());
@@ -81,7 +81,7 @@ impl Node {
         self.take(Event::Failed(Fault::new(Exit::Device, message)));
     }
 
-    /// The link is lost, not the HSU: as configured the session goes on, and the link is looked for.
+    /// The link is lost, not the HSU: as configured the session goes on, and the link is restored.
     pub(crate) fn link_lost(&mut self, reason: String) {
         let goes_on = self.machine.train_runs() && self.config.on_link_lost == OnLoss::Continue;
         if !goes_on {
@@ -221,7 +221,7 @@ impl Node {
         }
     }
 
-    /// The recorder's thread ended without saying so: it panicked. The session cannot be finished.
+    /// The recorder's thread ended without a report: it panicked. The session cannot be finished.
     pub(crate) fn recorder_gone(&mut self) {
         self.in_session(|session| {
             session.from_recorder = never();

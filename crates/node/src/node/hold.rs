@@ -11,7 +11,7 @@ use crate::host::memory;
 use crate::host::process_limits::ProcessMemory;
 use std::sync::atomic::Ordering;
 
-/// Left to everything else on this host, bytes.
+/// Memory that is left to everything else on this host, bytes.
 const LEFT_FREE: u64 = 1 << 30;
 
 /// Number of frame sets to hold: those of the requested seconds and of one second more, for which Record may be on its

@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 pub struct LinkSetup {
     /// The link as it is at the start.
     pub hsu: Arc<Hsu>,
-    /// What it is a link to.
+    /// The unit at the other end of the link.
     pub unit: TriggerUnit,
     pub node: NodeId,
     /// The session that is being recorded.
@@ -27,7 +27,7 @@ pub struct LinkSetup {
     pub clock: HostClock,
     pub to_recorder: Sender<RecorderCommand>,
     pub reports: Sender<Report>,
-    /// Where a new link goes.
+    /// Receives a new link, once there is one.
     pub back: Sender<Arc<Hsu>>,
 }
 
@@ -46,12 +46,12 @@ pub struct HsuKeeper {
     thread: JoinHandle<()>,
 }
 
-/// Between two readings of the HSU's clock. Reports bound it from one side a hundred times a second, the other side
-/// has these alone: one a second leaves three times the error (docs/design/experiments.md).
+/// Time between two readings of the HSU's clock. Reports bound it from one side a hundred times a second, the other
+/// side has these alone: one reading a second leaves three times the error (docs/design/experiments.md).
 const CLOCK_INTERVAL: Duration = Duration::from_millis(200);
-/// Time code may stay away for this long before it is printed that there is none.
+/// Time without any time code after which the operator gets a notice.
 const CODE_PATIENCE: Duration = Duration::from_secs(1);
-/// Between two attempts to connect.
+/// Time between two attempts to connect.
 const RETRY_INTERVAL: Duration = Duration::from_millis(200);
 
 impl HsuKeeper {

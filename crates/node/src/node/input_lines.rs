@@ -5,7 +5,7 @@ use super::event_kind::EventKind;
 use crate::hsu::{EDGE_HISTORY, HsuError, INPUTS, InputEdges, Refusal};
 use crate::record::{InputEdge, NodeEvent};
 
-/// What is known of the lines.
+/// The edges of the HSU's inputs that were read so far.
 #[derive(Debug, Default)]
 pub struct InputLines {
     /// Number of the next edge; `None` before the first answer.

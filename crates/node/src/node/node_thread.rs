@@ -44,7 +44,7 @@ pub struct NodeThread {
     thread: JoinHandle<()>,
 }
 
-/// The thread looks around at least this often.
+/// Longest time between two turns of the thread.
 const TICK: Duration = Duration::from_millis(100);
 /// A thread whose last turn is older than this did not run, or waited for a device.
 const ASLEEP: Duration = Duration::from_secs(1);

@@ -22,7 +22,8 @@ use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-/// A session from its preparation on.
+/// A session from its preparation on. The node's thread makes it for each request, and it owns the threads that record
+/// it until they have ended. Its outcome stays in the status until the next session is prepared.
 pub(crate) struct Session {
     pub(crate) request: SessionRequest,
     pub(crate) dir: PathBuf,
@@ -128,7 +129,7 @@ impl Session {
         }
     }
 
-    /// Puts what the system refused into the recording, once each.
+    /// Puts the system's refusals into the recording, once each.
     pub(crate) fn record_warnings(&mut self) {
         if self.to_recorder.is_none() {
             return;
@@ -154,7 +155,7 @@ impl Session {
         }
     }
 
-    /// `holding`: it waits for Record.
+    /// The session's part of the node's status; `holding`: it waits for Record.
     pub(crate) fn status(&self, holding: bool) -> SessionStatus {
         let load = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed);
         let cameras = self.cameras.iter().enumerate().map(|(i, camera)| CameraProgress {

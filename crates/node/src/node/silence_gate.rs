@@ -11,9 +11,9 @@ use crate::base::{Exit, Fault};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Trigger periods of silence before arming, at least.
+/// Least duration of the silence before arming, in trigger periods.
 const PERIODS: u32 = 10;
-/// Slow triggers and a frame do not make the silence longer than this.
+/// Longest silence that slow triggers or a stray frame can require.
 const AT_MOST: Duration = Duration::from_secs(2);
 /// After a frame without a trigger the silence must be longer by this factor.
 const AFTER_A_FRAME: u32 = 4;

@@ -22,7 +22,7 @@ use std::time::Duration;
 /// What has happened to the session, its devices or its operator's requests.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Event {
-    /// An operator asks for a session.
+    /// An operator requests a session.
     Prepare(SessionRequest),
     /// The action just carried out during preparation succeeded.
     StepDone,
@@ -42,7 +42,7 @@ pub enum Event {
         /// How many triggers it emitted.
         emitted: u64,
     },
-    /// The link to the HSU is lost, and is looked for: the train goes on meanwhile.
+    /// The link to the HSU is lost, and is being restored: the train goes on meanwhile.
     LinkLost,
     LinkBack,
     /// Every camera has an outcome for every trigger, or will not get one any more.
@@ -72,9 +72,9 @@ pub enum Action {
     ReportReady,
     /// Answer the operator that preparation failed, with the reason.
     ReportFailed(Fault),
-    /// Ask the HSU for the train.
+    /// Request the train from the HSU.
     StartTrain,
-    /// Ask the HSU to end the train after the current trigger.
+    /// Request from the HSU to end the train after the current trigger.
     StopTrain,
     /// Take this node's arming back.
     DisarmHsu,
@@ -98,19 +98,21 @@ pub enum Action {
     },
 }
 
-/// A node that is ready but is not started gives up after this long.
+/// A node that is ready but is not started gives up after this time.
 pub const READY_TIMEOUT: Duration = Duration::from_secs(120);
 /// Frames are held no longer than this without Record, so that the projectors are not lit in vain.
 pub const HOLD_TIMEOUT: Duration = Duration::from_secs(30 * 60);
-/// A train that stays silent this long (or 20 periods, if longer) has failed.
+/// A train without a reported trigger for this time (or 20 periods, if longer) has failed.
 pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(3);
-/// A link to the HSU that was lost during a train is waited for this long.
+/// Longest time to wait for a link to the HSU that was lost during a train.
 pub const LINK_TIMEOUT: Duration = Duration::from_secs(60);
 /// The end of a train is waited for no longer than this (or 200 periods, if longer): a node that broke off without its
 /// link to the HSU cannot stop the train, and frames may come for as long as the other node lets it run.
 pub const DRAIN_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// The state of one node's session.
+/// The state of one node's session. The node's thread makes one at its start and owns it as long as it lives. Given
+/// the same events and times it returns the same actions; it never undoes an action twice, and every recording that
+/// saw a trigger is closed with a verdict. It is idle again when the session has ended.
 #[derive(Debug, Clone)]
 pub struct Machine {
     phase: Phase,
@@ -121,7 +123,7 @@ pub struct Machine {
     last_activity: Duration,
     silence_timeout: Duration,
     drain_timeout: Duration,
-    /// Since when it has been [`Phase::Draining`], and [`Phase::Holding`].
+    /// When it was last not [`Phase::Draining`], and not [`Phase::Holding`].
     draining_since: Duration,
     holding_since: Duration,
     link_lost: bool,

@@ -14,9 +14,9 @@ pub const LAST_FRAME: Duration = Duration::from_millis(60);
 
 /// The requests for time code that a unit answers.
 pub trait TimeCodeUnit {
-    /// Names the input that carries it.
+    /// Sends the unit the input that carries the code.
     fn name_input(&self, input: u8) -> Result<(), HsuError>;
-    /// Asks for codes from a number on.
+    /// Requests codes from a number on.
     fn codes(&self, first: u64) -> Result<HeardTimeCodes, HsuError>;
 }
 
@@ -30,10 +30,10 @@ impl TimeCodeUnit for Hsu {
     }
 }
 
-/// What is known of the time code.
+/// The time codes of a session so far, and what of them is recorded.
 #[derive(Debug, Default)]
 pub struct TimeCodeKeeper {
-    /// The input; `None`: there is nothing to ask for.
+    /// The input; `None`: no time code is configured.
     input: Option<u8>,
     /// The unit knows the input since the last connection.
     named: bool,
@@ -42,9 +42,9 @@ pub struct TimeCodeKeeper {
     /// Counters of unreadable code frames, at the first answer and at the last.
     refused: Option<(u32, u32)>,
     last: Option<HeardTimeCode>,
-    /// It came at the last look.
+    /// A code arrived at the last look.
     is_running: bool,
-    /// It is in the recording, too.
+    /// The last code is in the recording.
     is_recorded: bool,
     /// When the last one that was recorded began, HSU clock.
     recorded_ns: u64,
@@ -128,7 +128,7 @@ impl TimeCodeKeeper {
         })
     }
 
-    /// Frames that were no good.
+    /// Number of unreadable code frames since the first answer.
     fn no_good(&self) -> u32 {
         let (first, last) = self.refused.unwrap_or_default();
         last.saturating_sub(first)

@@ -19,24 +19,24 @@ use std::process::{Child, ChildStdin, Stdio};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Points of a frame set at most.
+/// Most points of a frame set.
 pub const POINTS_EACH: usize = 40_000;
 /// Requests that may wait for the thread; a further one is refused.
 const WAITING_MAX: usize = 16;
-/// Bytes of answers that are kept for the next who asks.
+/// Bytes of answers that are kept for further requests.
 const KEPT_BYTES: usize = 64 << 20;
 /// Time that the process waits for the next request before it is ended.
 const LINGER: Duration = Duration::from_secs(20);
-/// An answer takes no longer.
+/// Longest time that an answer of the process may take.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// The process makes one cloud after the other of the same size: glibc keeps their memory (measured: half of its time
-/// otherwise).
+/// Settings of glibc's allocator: the process makes one cloud after the other of the same size, and keeping their
+/// memory saves half of its time (measured).
 const ALLOCATOR: [(&str, &str); 3] = [
     ("MALLOC_MMAP_THRESHOLD_", "33554432"),
     ("MALLOC_TRIM_THRESHOLD_", "1073741824"),
     ("MALLOC_ARENA_MAX", "1"),
 ];
-/// How often it is looked whether a session has begun.
+/// Time between two looks whether a session has begun.
 const POLL: Duration = Duration::from_millis(20);
 
 /// The requested part of a session.

@@ -51,7 +51,7 @@ impl Light {
     }
 }
 
-/// A window is lit whose brightest pixel is above this.
+/// Grey value that the brightest pixel of a lit window exceeds.
 const LIT_DN: u8 = 24;
 
 /// Measures a sample of a frame.

@@ -22,11 +22,11 @@ use serde::Serialize;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-/// Pictures are at least so far apart.
+/// Least time between two pictures of a camera.
 const PERIOD: Duration = Duration::from_millis(250);
-/// A client that has sent no request for this long does not look any more.
+/// Time without a request after which a client no longer counts as looking.
 const INTEREST: Duration = Duration::from_secs(2);
-/// How often the thread looks for samples.
+/// Time between two looks for samples.
 const POLL: Duration = Duration::from_millis(40);
 
 /// When something was last requested: nothing is computed that no client looks at.

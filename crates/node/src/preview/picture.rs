@@ -5,7 +5,7 @@
 
 use crate::acquire::preview::{ROW_STEP, Sample};
 
-/// Saturated pixels have this grey value, which the palette shows red.
+/// The grey value of saturated pixels, which the palette shows red.
 const RED: u8 = 255;
 
 /// A quarter of the frame's size: means of four columns of every fourth row. A pixel with a saturated one among its

@@ -21,9 +21,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-/// Points of one node and frame set that a browser gets at most: every n-th of them.
+/// Most points of one node and frame set that a browser receives: every n-th of them.
 pub const POINTS_MAX: usize = 80_000;
-/// Bytes of a point: see [`encode`].
+/// Size of a point in bytes, as [`encode`] writes it.
 pub const POINT_BYTES: usize = 12;
 /// Number of quick looks that stay in memory.
 const KEPT: usize = 4;
@@ -66,7 +66,9 @@ pub struct Look {
     clouds: BTreeMap<u64, Arc<Vec<u8>>>,
 }
 
-/// Makes quick looks, one at a time.
+/// Makes quick looks, one at a time. The API's server starts it; its thread requests a look at every session that was
+/// just recorded. The reconstruction runs in a process of its own, which is ended when the node receives a request for
+/// the next session.
 #[derive(Clone)]
 pub struct QuickLooks {
     inner: Arc<Inner>,

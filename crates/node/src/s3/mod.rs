@@ -55,7 +55,7 @@ impl Location {
     }
 }
 
-/// Requests that are under way at once: an answer takes its time wherever the store is.
+/// Number of requests that are under way at once, since each answer takes its time.
 const REQUESTS: usize = 8;
 
 /// Runs `work` on a rayon pool, so that its requests are sent side by side.

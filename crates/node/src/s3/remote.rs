@@ -23,9 +23,9 @@ use tokio::runtime::Runtime;
 
 /// Longest time that a store may be silent, or refuse connections, before a request fails.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// One answer may take this long.
+/// Longest time that one answer may take.
 const ANSWER: Duration = Duration::from_secs(120);
-/// Files are sent and fetched in pieces of this size, bytes; what is smaller is one object put at once.
+/// Size of the pieces in which files are sent and fetched, bytes; a smaller file is one object.
 const PIECE: u64 = 16 << 20;
 
 /// The name and size of a stored object.

@@ -13,9 +13,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Folders of files that belong to a trigger each, and how their names end.
+/// Folders of files that belong to one trigger each, and the ends of their names.
 const FOLDERS: [(&str, &str); 3] = [("clouds", ".ply"), ("merged", ".ply"), ("phases", ".phase")];
-/// How often finished files are looked for.
+/// Time between two looks for finished files.
 const LOOK: Duration = Duration::from_millis(500);
 
 /// Fetches the files of the triggers that are wanted, and the objects at the location itself whose names are; whatever

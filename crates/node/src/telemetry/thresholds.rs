@@ -31,7 +31,7 @@ pub struct Threshold {
     pub meaning: &'static str,
 }
 
-/// Cameras of the node that cannot be used.
+/// Number of the node's cameras that cannot be used.
 pub const CAMERAS_MISSING: Threshold = Threshold {
     name: "cameras_missing",
     unit: "cameras",
@@ -47,7 +47,7 @@ pub const HSU_MISSING: Threshold = Threshold {
     bad: 1.0,
     meaning: "links to the HSU that are down: no session can start",
 };
-/// Time until the disk is full.
+/// Seconds of capture until the disk is full.
 pub const DISK_TIME_LEFT: Threshold = Threshold {
     name: "disk_time_left",
     unit: "s",
@@ -63,7 +63,7 @@ pub const FRAMES_MISSING: Threshold = Threshold {
     bad: 0.1,
     meaning: "share of the frames so far that have a gap record instead; any makes the verdict incomplete",
 };
-/// The fullest that the ring was.
+/// The highest level of the ring before the writer.
 pub const RING_HIGH_WATER: Threshold = Threshold {
     name: "ring_high_water",
     unit: "%",
@@ -96,7 +96,7 @@ pub const DURABLE_P99: Threshold = Threshold {
     meaning: "from the writer until the frame survives a power cut, for 99 of 100 frames; a second is promised",
 };
 
-/// Saturated pixels of a picture.
+/// Share of a picture's lit pixels that are saturated.
 pub const SATURATED: Threshold = Threshold {
     name: "saturated",
     unit: "%",
@@ -112,7 +112,7 @@ pub const MODULATION: Threshold = Threshold {
     bad: 12.0,
     meaning: "median fringe amplitude of what a camera sees lit: the noise of a point goes with its inverse",
 };
-/// How much of the picture is lit.
+/// Share of the picture that is lit.
 pub const LIT: Threshold = Threshold {
     name: "lit",
     unit: "%",
@@ -121,7 +121,7 @@ pub const LIT: Threshold = Threshold {
     meaning: "share of a camera's picture that is lit: is there anybody, and light?",
 };
 
-/// All of them, in the order in which they are shown.
+/// All thresholds, in the order in which they are shown.
 pub const ALL: [Threshold; 11] = [
     CAMERAS_MISSING,
     HSU_MISSING,

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Sessions that are kept in mind: those whose jobs were written last.
+/// Number of sessions that are listed: those whose jobs were written last.
 const KNOWN_MAX: usize = 1000;
 
 /// A session whose clouds are there.

@@ -22,16 +22,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How often sessions are looked for when there is nothing to do.
+/// Time between two looks for sessions when there is nothing to do.
 const LOOK: Duration = Duration::from_secs(2);
-/// How often progress is written down.
+/// Time between two writes of the worker's state while a process runs.
 const STATE_PERIOD: Duration = Duration::from_secs(1);
-/// How long to wait before the second attempt; twice as long before each further one.
+/// Time before the second attempt at a session; doubled before each further one.
 const RETRY: Duration = Duration::from_secs(10);
-/// With less room than this a failure is blamed on the disk: four frame sets as PLY files.
+/// With less free space than this a failure is attributed to the disk: four frame sets as PLY files.
 const SHORT_BYTES: u64 = 256 << 20;
 
-/// The worker of a results' directory.
+/// The worker of one results' directory. `fourdbody worker` makes it, and it holds the directory's lock until it is
+/// dropped. It works on one session at a time, in processes that it can end at any moment, and never while a node is
+/// in a session; a session that fails too often is set aside with the reason.
 pub struct Worker {
     config: WorkerConfig,
     give_way: GiveWay,

@@ -16,7 +16,7 @@ use std::os::fd::AsRawFd;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-/// Read at a time while comparing, bytes.
+/// Bytes that are read at a time while comparing.
 const BLOCK: usize = 1 << 20;
 
 /// First characters of the probe files' names; one that a killed process left behind may be removed.

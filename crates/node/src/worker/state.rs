@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// Where the worker keeps what is its own, inside the results' directory.
+/// The worker's own directory, inside the results' directory.
 pub const OWN_DIR: &str = ".worker";
 
 /// How far a session is.

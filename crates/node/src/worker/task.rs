@@ -8,7 +8,7 @@ use std::path::Path;
 
 use std::time::{Duration, Instant};
 
-/// How often the worker looks at the process, and at what may be a reason to end it.
+/// Time between two looks at the process, and at possible reasons to end it.
 const POLL: Duration = Duration::from_millis(50);
 /// Length of the end of a process's output that is quoted, bytes.
 const QUOTED_BYTES: usize = 600;

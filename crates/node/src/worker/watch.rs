@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, Weak};
 use std::time::{Duration, SystemTime};
 
-/// How often the worker's files are looked at.
+/// Time between two reads of the worker's files.
 const POLL: Duration = Duration::from_secs(1);
-/// Between two looks at all results, in those.
+/// Number of these reads from one look at all results to the next.
 const LOOKS_APART: u32 = 3;
 
 /// A thread that reads the worker's files: the disk or share where they are may take its time, and nothing must wait

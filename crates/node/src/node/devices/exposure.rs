@@ -13,7 +13,7 @@ use crate::control::status::{CameraExposure, ExposureNow, ExposureSet};
 const LEAST_US: f64 = 0.1;
 const MOST_DB: f64 = 100.0;
 
-/// How features begin that are a camera's exposure or gain.
+/// First characters of the features that are a camera's exposure or gain.
 const EXPOSURE_OR_GAIN: [&str; 6] =
     ["Exposure", "Shutter", "IntegrationTime", "Gain", "AnalogGain", "DigitalGain"];
 
