@@ -30,6 +30,8 @@ pub mod report;
 pub mod s3;
 /// Readiness, status and watchdog of the service manager.
 pub mod systemd;
+/// A process of this program that may be ended at any moment.
+mod task;
 /// What a running node counts: metrics, and thresholds that judge them.
 pub mod telemetry;
 /// Reconstructs what was recorded, by itself, when nothing else is to be done.

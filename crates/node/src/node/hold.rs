@@ -88,7 +88,7 @@ impl Node {
             ));
         }
         self.in_session(|session| session.kept = Some(*request));
-        self.take(Event::Keep { first, pressed });
+        self.take(Event::Keep(*request));
         Ok(())
     }
 }

@@ -13,7 +13,7 @@ use crate::base::{Exit, Fault};
 use crate::camera::CameraBackend;
 use crate::config::NodeConfig;
 use crate::control::command::{Command, Reply, SharedStatus};
-use crate::control::request::{ExposureRequest, Phase, SessionRequest};
+use crate::control::request::{ExposureRequest, KeepRequest, Phase, SessionRequest};
 use crate::control::status::{ExposureSet, NodeStatus, Outcome, SessionCommand};
 use crate::host::process_limits::ProcessMemory;
 use crate::host::{heap, realtime};
@@ -361,7 +361,7 @@ impl Node {
             Action::DisarmHsu => self.on_hsu(|hsu, session| hsu.disarm(session))?,
             Action::StopStreams => self.stop_streams(),
             Action::DiscardRecording => self.discard_recording()?,
-            Action::Keep { first, pressed } => {
+            Action::Keep(KeepRequest { first, pressed, .. }) => {
                 self.in_session(|session| session.send(RecorderCommand::Keep { first, pressed }))
             }
             Action::Drain { emitted } => {

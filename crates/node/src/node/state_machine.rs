@@ -16,7 +16,7 @@
 //! train is started only when this node and, by the HSU, every other node is ready.
 
 use crate::base::{Exit, Fault};
-use crate::control::request::{Phase, SessionRequest};
+use crate::control::request::{KeepRequest, Phase, SessionRequest};
 use std::time::Duration;
 
 /// What has happened to the session, its devices or its operator's requests.
@@ -33,10 +33,7 @@ pub enum Event {
     /// The HSU reports a trigger.
     Trigger,
     /// An operator wants to keep what is held, from a trigger of the train on.
-    Keep {
-        first: u64,
-        pressed: u64,
-    },
+    Keep(KeepRequest),
     /// The HSU reports the end of the train.
     TrainDone {
         /// How many triggers it emitted.
@@ -82,10 +79,7 @@ pub enum Action {
     /// Remove the recording: no trigger was seen.
     DiscardRecording,
     /// Record what is held, and what comes.
-    Keep {
-        first: u64,
-        pressed: u64,
-    },
+    Keep(KeepRequest),
     /// Wait for the frames of all triggers.
     Drain {
         /// How many triggers there were, where the HSU reported it.
@@ -197,9 +191,9 @@ impl Machine {
                 self.phase = if holds { Phase::Holding } else { Phase::Running };
                 Vec::new()
             }
-            (Phase::Holding, Event::Keep { first, pressed }) => {
+            (Phase::Holding, Event::Keep(keep)) => {
                 self.phase = Phase::Running;
-                vec![Action::Keep { first, pressed }]
+                vec![Action::Keep(keep)]
             }
             (Phase::Ready, Event::Abort(reason)) => self.give_up(reason),
             // It may have been started from another node, or the first report is on its way: the HSU knows, and
@@ -336,7 +330,7 @@ mod tests {
     use super::{Action, DRAIN_TIMEOUT, Event, HOLD_TIMEOUT, Machine, READY_TIMEOUT};
     use crate::base::ids::NodeId;
     use crate::base::{Exit, Fault};
-    use crate::control::request::{Phase, SessionRequest};
+    use crate::control::request::{KeepRequest, Phase, SessionRequest};
     use proptest::prelude::{
         Just, ProptestConfig, Strategy, prop_assert, prop_assert_eq, prop_oneof, proptest,
     };
@@ -460,9 +454,9 @@ mod tests {
     #[test]
     fn record_makes_a_session_of_what_is_held() {
         let mut m = holding();
-        let keep = |first| Event::Keep { first, pressed: first + 239 };
-        assert_eq!(m.step(keep(60), Duration::ZERO), [Action::Keep { first: 60, pressed: 299 }]);
-        assert_eq!(m.step(keep(90), Duration::ZERO), [], "once");
+        let keep = KeepRequest { session_id: 1, first: 60, pressed: 299 };
+        assert_eq!(m.step(Event::Keep(keep), Duration::ZERO), [Action::Keep(keep)]);
+        assert_eq!(m.step(Event::Keep(KeepRequest { first: 90, ..keep }), Duration::ZERO), [], "once");
         assert_eq!(m.step(Event::Stop, Duration::ZERO), [Action::StopTrain]);
         let done = Event::TrainDone { emitted: 400 };
         assert_eq!(m.step(done, Duration::ZERO), [Action::Drain { emitted: Some(400) }]);
@@ -491,7 +485,7 @@ mod tests {
         prop_oneof![
             Just(Event::Prepare(request())),
             Just(Event::Prepare(holding_request())),
-            Just(Event::Keep { first: 3, pressed: 9 }),
+            Just(Event::Keep(KeepRequest { session_id: 1, first: 3, pressed: 9 })),
             Just(Event::StepDone),
             Just(Event::StepDone),
             Just(Event::StepDone),

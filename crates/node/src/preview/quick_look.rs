@@ -6,16 +6,16 @@
 //! together.
 
 use crate::base::ids::NodeId;
-use crate::base::regular;
 use crate::batch::result::Clouds;
 use crate::config::QuickLookConfig;
 use crate::control::request::Phase;
 use crate::control::status::{NodeStatus, Outcome};
 use crate::data::{Cloud, FrameSource};
-use crate::host::idle_process;
 use crate::record::{SessionReader, node_dir};
+use crate::task::{self, Ended};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
@@ -241,44 +241,30 @@ impl Inner {
         trigger: u64,
         out: &Path,
     ) -> Result<(), Progress> {
-        let failed =
-            |what: &str, error: std::io::Error| Progress::Failed { reason: format!("{what}: {error}") };
-        std::fs::create_dir_all(out).map_err(|e| failed(&out.display().to_string(), e))?;
-        let log = regular::create(&out.join("log")).map_err(|e| failed("its log", e))?;
-        let command = idle_process::command(["reconstruct"]);
-        let mut child = command
-            .map_err(|e| failed("this program cannot be found", e))?
-            .arg(recording)
-            .arg("--calibration")
-            .arg(&settings.calibration)
-            .arg("--out")
-            .arg(out)
-            .args(["--triggers", &format!("{trigger}..{}", trigger + 1), "--cameras", cameras, "--jobs", "1"])
-            .stderr(log)
-            .spawn()
-            .map_err(|e| failed("`setpriv` (package util-linux)", e))?;
-        let status = loop {
-            if !self.is_idle() || self.ended.load(Ordering::Acquire) {
-                idle_process::end(&mut child);
-                return Err(Progress::GaveWay);
+        let failed = |reason: String| Progress::Failed { reason };
+        std::fs::create_dir_all(out).map_err(|e| failed(format!("{}: {e}", out.display())))?;
+        let log = out.join("log");
+        let triggers = format!("{trigger}..{}", trigger + 1);
+        let mut args: Vec<OsString> = vec!["reconstruct".into(), recording.into()];
+        args.extend([
+            "--calibration".into(),
+            settings.calibration.clone().into(),
+            "--out".into(),
+            out.into(),
+        ]);
+        args.extend(["--triggers", &triggers, "--cameras", cameras, "--jobs", "1"].map(OsString::from));
+        let gives_way = |_| (!self.is_idle() || self.ended.load(Ordering::Acquire)).then_some(());
+        match task::run(args, &log, gives_way) {
+            // 3: a frame of the set is missing; the others are there.
+            Ok(Ended::ByItself(Some(0 | 3))) => Ok(()),
+            Ok(Ended::Interrupted(())) => Err(Progress::GaveWay),
+            Ok(Ended::ByItself(code)) => {
+                let code =
+                    code.map_or_else(|| "by a signal".to_owned(), |code| format!("with exit code {code}"));
+                let text = task::last_output(&log);
+                Err(failed(format!("no body could be made: the reconstruction ended {code}: {text}")))
             }
-            match child.try_wait().map_err(|e| failed("the reconstruction", e))? {
-                Some(status) => break status,
-                None => std::thread::sleep(POLL),
-            }
-        };
-        // 3: a frame of the set is missing; the others are there.
-        match status.code() {
-            Some(0 | 3) => Ok(()),
-            _ => {
-                let log = regular::read(&out.join("log"), regular::TEXT_BYTES).unwrap_or_default();
-                let text = String::from_utf8_lossy(&log);
-                let reason = format!(
-                    "no body could be made (the reconstruction ended with {status}): {}",
-                    text.trim()
-                );
-                Err(Progress::Failed { reason })
-            }
+            Err(error) => Err(failed(format!("no body could be made: cannot run a process: {error}"))),
         }
     }
 }

@@ -12,5 +12,4 @@ pub mod retention;
 pub mod run;
 mod second_copy;
 pub mod state;
-mod task;
 pub mod watch;

@@ -53,7 +53,13 @@ pub fn look(config: &WorkerConfig, first: &[String]) -> Inventory {
             },
             Some(job) => inventory.set_aside.push((name, job.reason.unwrap_or_default())),
             None => match parts(config, &name) {
-                Ok(found) => inventory.ready.push(found),
+                Ok(found) => match later(config, &name) {
+                    None => inventory.ready.push(found),
+                    Some(reason) => {
+                        inventory.retries += 1;
+                        inventory.not_yet.push((name, reason));
+                    }
+                },
                 Err(reason) => inventory.not_yet.push((name, reason)),
             },
         }
@@ -63,23 +69,14 @@ pub fn look(config: &WorkerConfig, first: &[String]) -> Inventory {
         Order::Newest => (place(found), u64::MAX - found.created_ns),
         Order::Oldest => (place(found), found.created_ns),
     });
-    let now = host_time_ns();
-    let later = |found: &Found| {
-        let job = Job::load(&config.results, &found.name)?;
-        let wait_s = job.not_before_ns.checked_sub(now).filter(|ns| *ns > 0)? / 1_000_000_000;
-        Some(format!("tried again in {wait_s} s: {}", job.reason.unwrap_or_default()))
-    };
-    let (waiting, ready): (Vec<_>, Vec<_>) = inventory
-        .ready
-        .into_iter()
-        .map(|found| (later(&found), found))
-        .partition(|(later, _)| later.is_some());
-    inventory.retries = waiting.len() as u64;
-    inventory.ready = ready.into_iter().map(|(_, found)| found).collect();
     inventory
-        .not_yet
-        .extend(waiting.into_iter().map(|(later, found)| (found.name, later.unwrap_or_default())));
-    inventory
+}
+
+/// Why a session that could be worked on waits for its next attempt.
+fn later(config: &WorkerConfig, name: &str) -> Option<String> {
+    let job = Job::load(&config.results, name)?;
+    let wait_s = job.not_before_ns.checked_sub(host_time_ns()).filter(|ns| *ns > 0)? / 1_000_000_000;
+    Some(format!("tried again in {wait_s} s: {}", job.reason.unwrap_or_default()))
 }
 
 /// Whether there is a recording of another session under the name of one that is done. Only those that have changed

@@ -4,7 +4,6 @@
 use super::give_way::GiveWay;
 use super::queue::{self, Found};
 use super::state::{Activity, Job, OWN_DIR, Stage, WorkerState};
-use super::task::{self, Ended, Interruption};
 use crate::base::time::host_time_ns;
 use crate::base::{Exit, Fault, regular, write_whole};
 use crate::batch::collect_shards;
@@ -13,6 +12,7 @@ use crate::calibrate::drift::history;
 use crate::config::{Output, WorkerConfig};
 use crate::data::Calibration;
 use crate::record::{free_bytes, node_dir};
+use crate::task::{self, Ended};
 use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fs::{File, TryLockError};
@@ -43,6 +43,17 @@ pub struct Worker {
     retries: u64,
     /// Held as long as it lives.
     _lock: File,
+}
+
+/// Why the worker ends a process that did nothing wrong.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Interruption {
+    /// The worker itself has to end.
+    Stop,
+    /// A capture needs the machine.
+    Capture(String),
+    /// Something is missing that is not the session's fault.
+    Obstacle(String),
 }
 
 /// What came of a session in one go.
@@ -395,7 +406,7 @@ impl Worker {
         Ok(both.join(","))
     }
 
-    fn outcome(&self, job: &Job, ended: std::io::Result<Ended>) -> Outcome {
+    fn outcome(&self, job: &Job, ended: std::io::Result<Ended<Interruption>>) -> Outcome {
         match ended {
             Ok(Ended::Interrupted(interruption)) => Outcome::Interrupted(interruption),
             Ok(Ended::ByItself(Some(code))) => {
@@ -415,7 +426,7 @@ impl Worker {
     }
 
     /// Runs a process for this job, while telling how far it is.
-    fn task(&mut self, job: &mut Job, args: Vec<OsString>) -> std::io::Result<Ended> {
+    fn task(&mut self, job: &mut Job, args: Vec<OsString>) -> std::io::Result<Ended<Interruption>> {
         let log = self.log(job);
         let dir = self.config.results.join(&job.session);
         let output = self.config.output;

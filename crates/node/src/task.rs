@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One process of `fourdbody` that the worker runs and may end at any moment.
+//! A process of `fourdbody` at idle priority, which its caller may end at any moment.
 
 use crate::base::regular;
 use crate::host::idle_process;
 use std::io;
 use std::path::Path;
-
 use std::time::{Duration, Instant};
 
 /// Time between two looks at the process, and at possible reasons to end it.
@@ -13,33 +12,22 @@ const POLL: Duration = Duration::from_millis(50);
 /// Length of the end of a process's output that is quoted, bytes.
 const QUOTED_BYTES: usize = 600;
 
-/// How a process of the worker came to its end.
+/// How a process came to its end.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Ended {
+pub enum Ended<R> {
     /// By itself, with this exit code; `None`: by a signal.
     ByItself(Option<i32>),
-    /// By the worker, for this reason.
-    Interrupted(Interruption),
-}
-
-/// Why the worker ends a process that did nothing wrong.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Interruption {
-    /// The worker is to end.
-    Stop,
-    /// A capture needs the machine.
-    Capture(String),
-    /// Something is missing that is not the session's fault.
-    Obstacle(String),
+    /// By its caller, for this reason.
+    Interrupted(R),
 }
 
 /// Runs `fourdbody` with these arguments at idle priority; its output goes to `log`. `look` receives many times a
 /// second how long the process has been running, and may return a reason to end it.
-pub fn run(
+pub fn run<R>(
     args: Vec<std::ffi::OsString>,
     log: &Path,
-    mut look: impl FnMut(Duration) -> Option<Interruption>,
-) -> io::Result<Ended> {
+    mut look: impl FnMut(Duration) -> Option<R>,
+) -> io::Result<Ended<R>> {
     let output = regular::create(log)?;
     let mut child = idle_process::command(args)?.stdout(output.try_clone()?).stderr(output).spawn()?;
     let began = Instant::now();
