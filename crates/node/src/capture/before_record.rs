@@ -5,7 +5,8 @@
 //! nodes have, as the first of the recording. What comes behind it is counted by the nodes, so the end is a trigger,
 //! too.
 
-use super::run::{CaptureRequest, Control, Nodes};
+use super::participant::Nodes;
+use super::request::{CaptureRequest, Control};
 use crate::control::request::KeepRequest;
 use crate::control::status::{Held, SessionStatus};
 
@@ -128,7 +129,7 @@ fn triggers_of(what: &str, seconds: Option<f64>, rate_hz: f64) -> Result<u64, St
 #[cfg(test)]
 mod tests {
     use super::Span;
-    use crate::capture::run::CaptureRequest;
+    use crate::capture::request::CaptureRequest;
     use crate::control::request::KeepRequest;
 
     fn span(before_s: f64, after_s: f64, behind: u64) -> Span {

@@ -6,7 +6,7 @@
 
 use super::participant::Participant;
 use super::report::Captured;
-use super::run::{Control, Stage};
+use super::request::{Control, Stage};
 use super::series::{self, Series};
 use crate::base::{Exit, Fault};
 use serde::Serialize;
@@ -164,7 +164,7 @@ impl Coordinator {
 #[cfg(test)]
 mod tests {
     use super::Coordinator;
-    use crate::capture::run::CaptureRequest;
+    use crate::capture::request::CaptureRequest;
     use crate::capture::series::Series;
     use std::sync::Arc;
     use std::time::{Duration, Instant};

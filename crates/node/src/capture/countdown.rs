@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The time between "every node is ready" and the first trigger: one of them may cease to be.
 
-use super::run::{COUNTDOWN_MAX_S, Control, LOST_PATIENCE, Nodes, Stage, abort_all};
+use super::participant::{LOST_PATIENCE, Nodes, abort_all};
+use super::request::{COUNTDOWN_MAX_S, Control, Stage};
 use crate::base::ids::NodeId;
 use crate::base::{Exit, Fault};
 use crate::control::status::Outcome;
@@ -114,7 +115,7 @@ impl<'a> Watch<'a> {
 #[cfg(test)]
 mod tests {
     use super::{Watch, count_down};
-    use crate::capture::run::Control;
+    use crate::capture::request::Control;
 
     #[test]
     fn a_countdown_ends_when_the_operator_does_not_want_it_any_more() {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Names of takes: a name that is taken already is followed by the next number.
 
-use super::run::Nodes;
+use super::participant::Nodes;
 use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault};
 use std::path::Path;

@@ -35,6 +35,21 @@ pub trait Participant: Send + Sync {
     fn abort(&self, session_id: u64, reason: &str) -> Result<(), Fault>;
 }
 
+/// The nodes of one session, in the order of its request.
+pub type Nodes<'a> = &'a [Box<dyn Participant>];
+
+/// Time without a status of the session after which a node counts as lost.
+pub const LOST_PATIENCE: Duration = Duration::from_secs(5);
+
+pub(crate) fn abort_all(nodes: Nodes<'_>, session_id: u64, reason: &str) {
+    for node in nodes {
+        // A node that is not in this session refuses; there is nothing more to do for it.
+        if let Err(fault) = node.abort(session_id, reason) {
+            tracing::debug!(place = node.place(), "abort: {}", fault.message);
+        }
+    }
+}
+
 /// Longest time that a node may take to prepare: it waits for absent cameras, 2.5 s each.
 const PREPARE_TIMEOUT: Duration = Duration::from_secs(60);
 /// The same for a node that allocates memory for the seconds before Record.

@@ -2,8 +2,10 @@
 //! Several takes of the same: named in a row, with pauses, ended together.
 
 use super::numbering;
+use super::participant::Nodes;
 use super::report::Captured;
-use super::run::{CaptureRequest, Control, Nodes, Stage, capture};
+use super::request::{CaptureRequest, Control, Stage};
+use super::run::capture;
 use crate::base::{Exit, Fault};
 use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
@@ -145,7 +147,7 @@ fn rest(pause: Duration, control: &Control) -> bool {
 #[cfg(test)]
 mod tests {
     use super::{Series, TAKES_MAX};
-    use crate::capture::run::CaptureRequest;
+    use crate::capture::request::CaptureRequest;
 
     #[test]
     fn takes_are_numbered_only_where_there_are_several() {
