@@ -224,7 +224,23 @@ fn plain(name: &str) -> Result<&str, Refusal> {
 
 #[cfg(test)]
 mod tests {
-    use super::plain;
+    use super::{READABLE, of_peer, plain};
+
+    #[test]
+    fn what_is_passed_on_is_described_like_the_nodes_own() {
+        let api = crate::api::description();
+        for (own, _) in READABLE {
+            let of =
+                |path: &str| api.paths.paths.get(path).and_then(|item| item.get.clone()).expect("described");
+            let (own_parts, parts) = (of(own).parameters.unwrap_or_default(), of(&of_peer(own)).parameters);
+            assert_eq!(parts.expect("the peer's name").len(), own_parts.len() + 1, "{own}");
+        }
+        let post = |path: &str| api.paths.paths.get(path).is_some_and(|item| item.post.is_some());
+        assert!(
+            post("/api/v1/peers/{peer}/sessions/{name}/quick-look"),
+            "both methods of one path are described"
+        );
+    }
 
     #[test]
     fn names_lead_nowhere_else() {
