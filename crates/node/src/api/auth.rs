@@ -94,7 +94,7 @@ impl Auth {
         let tokens = config.tokens.as_ref().map(load).transpose()?;
         Ok(Self {
             tokens,
-            logins: Logins::new(),
+            logins: Logins::default(),
             // SAFETY: it only reads the process's user id.
             own_uid: unsafe { libc::geteuid() },
             requests: Buckets::new(limits::REQUESTS),

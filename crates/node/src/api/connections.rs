@@ -60,7 +60,7 @@ impl Default for Connections {
 }
 
 impl Connections {
-    /// Lets in a client of whom no more is known than its address.
+    /// Lets in a client of whom only the address is known: the oldest of those makes room for it.
     ///
     /// # Errors
     /// The system gives no random numbers.

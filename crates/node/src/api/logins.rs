@@ -19,13 +19,10 @@ struct Login {
 }
 
 /// All logins of the node's process.
+#[derive(Default)]
 pub struct Logins(Mutex<Vec<Login>>);
 
 impl Logins {
-    pub(super) fn new() -> Self {
-        Self(Mutex::default())
-    }
-
     /// Begins one for the bearer of a secret; returns the cookie's value.
     pub(super) fn begin(&self, secret: &str) -> io::Result<String> {
         let id = random_text()?;
@@ -65,7 +62,7 @@ mod tests {
     fn a_login_lives_as_long_as_its_token() {
         let hash = SecretHash::of("secret");
         let tokens = TokenList(vec![Token { name: "anna".to_owned(), role: Role::Operate, hash }]);
-        let logins = Logins::new();
+        let logins = Logins::default();
         let id = logins.begin("secret").expect("randomness");
         assert_eq!(logins.who(&id, &tokens), Some(("anna".to_owned(), Role::Operate)));
         assert_eq!(logins.who(&id[1..], &tokens), None);
@@ -76,7 +73,7 @@ mod tests {
 
     #[test]
     fn logins_are_bounded() {
-        let logins = Logins::new();
+        let logins = Logins::default();
         (0..2 * LOGINS_MAX).for_each(|_| drop(logins.begin("secret")));
         assert_eq!(logins.0.lock().expect("not poisoned").len(), LOGINS_MAX);
     }

@@ -19,7 +19,7 @@ pub const SPAN_MAX_S: f64 = 600.0;
 pub(crate) struct Span {
     session_id: u64,
     /// Triggers before Record that are kept; 0: the recording begins with the train.
-    before: u64,
+    pub(super) before: u64,
     /// Triggers behind Record; 0: until stopped.
     behind: u64,
     /// Triggers that are recorded after a stop.
@@ -44,11 +44,6 @@ impl Span {
         let after_stop = triggers_of("after Stop", wish.post_trigger_s, rate_hz)?;
         let informed = vec![false; nodes];
         Ok(Self { session_id, before, behind, after_stop, keep: None, informed, stop_at: None })
-    }
-
-    /// Triggers before Record that are kept.
-    pub(crate) fn before(&self) -> u64 {
-        self.before
     }
 
     /// Record was pressed, or need not be.
@@ -144,7 +139,7 @@ mod tests {
     #[test]
     fn a_session_ends_so_many_triggers_behind_record_or_stop() {
         let mut pressed = span(2.0, 0.0, 500);
-        assert!(!pressed.records() && pressed.before() == 200);
+        assert!(!pressed.records() && pressed.before == 200);
         pressed.keep = Some(KeepRequest { session_id: 7, first: 1000, pressed: 1199 });
         assert_eq!(pressed.total(), Some(700));
         assert!(!pressed.stops(false, 699));

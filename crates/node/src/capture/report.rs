@@ -11,33 +11,16 @@ use std::path::PathBuf;
 /// A session that ended on every node.
 #[derive(Debug, Clone)]
 pub struct Captured {
-    name: String,
-    dry_run: bool,
+    /// The name under which the session is recorded.
+    pub name: String,
+    pub(super) dry_run: bool,
     /// Nodes of the rig that took no part.
-    absent: Vec<String>,
+    pub(super) absent: Vec<String>,
     /// Per node: its name, and its session as it ended.
-    nodes: Vec<(String, SessionStatus)>,
+    pub(super) nodes: Vec<(String, SessionStatus)>,
 }
 
 impl Captured {
-    pub(crate) fn new(
-        name: String,
-        dry_run: bool,
-        absent: Vec<String>,
-        nodes: Vec<(String, SessionStatus)>,
-    ) -> Self {
-        Self { name, dry_run, absent, nodes }
-    }
-
-    /// The name under which the session is recorded.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    pub(crate) fn nodes(&self) -> &[(String, SessionStatus)] {
-        &self.nodes
-    }
-
     /// 0 when every frame of every camera that took part is there, 3 otherwise.
     pub fn exit(&self) -> Exit {
         if self.worst() == Status::Complete { Exit::Done } else { Exit::DataLoss }
@@ -188,7 +171,7 @@ mod tests {
             ("a".to_owned(), serde_json::from_value::<SessionStatus>(session).expect("a status"))
         };
         let absent = absent.iter().map(|node| (*node).to_owned()).collect();
-        Captured::new("walk".to_owned(), false, absent, words.iter().map(node).collect())
+        Captured { name: "walk".to_owned(), dry_run: false, absent, nodes: words.iter().map(node).collect() }
     }
 
     #[test]

@@ -52,8 +52,9 @@ pub fn capture(
     let train = Duration::try_from_secs_f64(request.triggers as f64 / rate).unwrap_or(Duration::MAX);
     let sessions = follow(nodes, &request, train, &mut span, control, &mut progress)?;
     let named = statuses.iter().map(|status| status.node.to_string()).zip(sessions);
-    let captured = Captured::new(request.name, wish.dry_run, absent(&statuses), named.collect());
-    match failure_of_all(captured.nodes()) {
+    let (name, dry_run, absent) = (request.name, wish.dry_run, absent(&statuses));
+    let captured = Captured { name, dry_run, absent, nodes: named.collect() };
+    match failure_of_all(&captured.nodes) {
         Some(_) if request.start_on.is_some() && control.end_was_requested() => {
             Err(not_begun("stopped by the operator before the edge came"))
         }
@@ -121,12 +122,12 @@ fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<(SessionReq
         session_id,
         name,
         // How many there are in all is known when Record is pressed.
-        triggers: if span.before() > 0 { 0 } else { triggers },
+        triggers: if span.before > 0 { 0 } else { triggers },
         nodes,
         subject: wish.subject.clone(),
         note: wish.note.clone(),
         start_on: wish.start_on,
-        pre_triggers: span.before(),
+        pre_triggers: span.before,
         dry_run: wish.dry_run,
         on_behalf_of: wish.on_behalf_of.clone(),
     };
@@ -269,7 +270,7 @@ fn follow(
         let notices = notices(request, &latest);
         progress(&match (request.start_on.filter(|_| triggers == 0), held) {
             (Some(edge), _) => Stage::AwaitingEdge { edge },
-            (None, Some(triggers)) => Stage::Holding { triggers, asked: span.before(), notices },
+            (None, Some(triggers)) => Stage::Holding { triggers, asked: span.before, notices },
             (None, None) => Stage::Recording {
                 triggers,
                 asked: span.total().unwrap_or(request.triggers),

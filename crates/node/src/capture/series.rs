@@ -100,7 +100,7 @@ pub fn run(
     let of = series.takes;
     for number in 1..=of {
         let mut stopped = false;
-        let wish = series.take(nodes, number, done.last().map(Captured::name));
+        let wish = series.take(nodes, number, done.last().map(|last| last.name.as_str()));
         let captured = wish.and_then(|wish| {
             capture(nodes, &wish, control, |stage| {
                 stopped |= *stage == Stage::Stopping;
