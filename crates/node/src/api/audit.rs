@@ -73,7 +73,7 @@ pub struct AuditLine {
     pub unlisted: u64,
 }
 
-/// The log's end that requests see.
+/// The part of the log that requests use: it sends lines to the thread that writes.
 pub struct Audit {
     node: String,
     lines: SyncSender<(AuditLine, Option<oneshot::Sender<()>>)>,
@@ -168,7 +168,7 @@ fn from_text(link: &Link) -> String {
     }
 }
 
-/// Writes a line for every request that is more than a look, once it is answered.
+/// Writes a line for every request that may change something, once it is answered.
 pub(super) async fn audited(State(shared): State<Shared>, request: Request, next: Next) -> Response {
     let Some(link) = request.extensions().get::<Link>().copied() else { return next.run(request).await };
     if only_looks(request.method()) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who asks, and whether they may: tokens, browser sessions, users of the Unix socket.
+//! Authentication and authorization: tokens, browser sessions, users of the Unix socket.
 
 use super::Shared;
 use super::connections::Standing;
@@ -139,7 +139,7 @@ impl Auth {
         Refusal::new(StatusCode::UNAUTHORIZED, message)
     }
 
-    /// Who asks, and what proves to them that this node knows their token, where they showed it by a proof.
+    /// The caller; and the answer to their proof, by which this node shows that it knows their token.
     fn identify(&self, link: &Link, request: &Request, cookie: &str) -> Option<(Caller, Option<String>)> {
         let headers = request.headers();
         if let (Some(tokens), Some(proof)) = (&self.tokens, proof_of(headers)) {
@@ -249,7 +249,7 @@ pub(super) fn only_looks(method: &Method) -> bool {
     matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS)
 }
 
-/// What anybody may ask for: the console's page, and to log in. Everything else below `/api/` is closed.
+/// What needs no token: the console's page, and a login. Everything else below `/api/` is closed.
 fn is_open(request: &Request) -> bool {
     let wanted = request.uri().path();
     wanted == path::LOGIN || (!wanted.starts_with("/api/") && only_looks(request.method()))

@@ -30,7 +30,7 @@ struct Book {
 
 struct Entry {
     key: Key,
-    /// Who has shown who they are, and whether they may only look.
+    /// The caller, once authenticated, and whether they may only read.
     known: Option<(Key, bool)>,
     evicted: Arc<Notify>,
 }
@@ -48,7 +48,7 @@ pub struct Admitted {
 pub struct Standing {
     number: u64,
     connections: Connections,
-    /// Random, and of this connection alone: what a proof of a token is made for.
+    /// A random number of this connection alone, for which a proof of a token is made.
     pub nonce: Arc<str>,
 }
 
@@ -149,7 +149,7 @@ impl Drop for Admitted {
 }
 
 impl Standing {
-    /// A request showed whose connection this is. False when they have too many: the request is refused.
+    /// A request authenticated the owner of this connection. False when they have too many: the request is refused.
     pub fn is_of(&self, caller: &Key, looks: bool) -> bool {
         let mut book = self.connections.book();
         if book.entries.get(&self.number).is_some_and(|entry| entry.known.is_some()) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What every request must be before anybody looks at who sent it: for this node (DNS rebinding), from one of its own
-//! pages or from no page at all (CSRF), small, and sent in one go.
+//! The checks of every request before its sender is authenticated: it is for this node (DNS rebinding), from one of
+//! its own pages or from no page at all (CSRF), small, and sent in one go.
 
 use super::auth::{cookie_of, only_looks, what_of};
 use super::refusal::Refusal;
@@ -63,7 +63,7 @@ fn split(authority: &str) -> Option<(&str, Option<u16>)> {
     (!name.is_empty() && name.chars().all(plain)).then_some((name, port))
 }
 
-/// A request's body as it came, for those who come before the handler.
+/// The whole body of a request, for the layers before the handler.
 #[derive(Clone)]
 pub(super) struct Sent(pub(super) Bytes);
 

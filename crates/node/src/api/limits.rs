@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How much one client, and all of them, may ask for.
+//! Limits for one client, and for all of them together.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv6Addr};
@@ -63,7 +63,7 @@ pub struct Rate {
     pub burst: f64,
 }
 
-/// Counts what many clients ask for, each against the same rate.
+/// Counts the requests of many clients, each against the same rate.
 pub struct Buckets {
     rate: Rate,
     left: Mutex<HashMap<Key, (f64, Instant)>>,
@@ -94,7 +94,8 @@ impl Buckets {
         let bucket = left.entry(key).or_insert((burst, now));
         *bucket = (filled(bucket), now);
         if bucket.0 < 1.0 {
-            // What is missing may be less than a nanosecond's worth: to wait for nothing would be to ask again at once.
+            // The missing part may be worth less than a nanosecond: a wait of zero would make the client try again at
+            // once.
             let wait = Duration::from_secs_f64((1.0 - bucket.0) / per_second);
             return Err(wait.max(Duration::from_millis(1)));
         }

@@ -26,7 +26,7 @@ const PAUSE: Duration = Duration::from_millis(250);
 /// A request, which sends its own answer: the client may be gone.
 type Request = Box<dyn FnOnce(&Index) + Send>;
 
-/// Asks the thread; it ends when the last of these is dropped.
+/// Sends requests to the thread, which ends when the last of these is dropped.
 #[derive(Clone)]
 pub struct Listing {
     requests: Sender<Request>,
@@ -83,13 +83,13 @@ impl Listing {
     }
 }
 
-/// What changes when a recording does.
+/// What changes when a recording does: compared to read it only once.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Stamp {
     made: SystemTime,
     /// When the remark was last written.
     remarked: Option<SystemTime>,
-    /// Of the files, while it is not closed.
+    /// Size of the files, while the recording is not closed.
     bytes: u64,
     written: Option<SystemTime>,
 }
@@ -132,7 +132,7 @@ impl Index {
     }
 
     fn one(&self, name: &str) -> Option<String> {
-        // Those that are too old to be kept in mind are looked at.
+        // Older recordings are not kept in memory, and are read.
         let older = || serde_json::to_string(&entry(&self.sessions_dir, &self.node, name)?).ok();
         self.known.get(name).map(|known| known.json.clone()).or_else(older)
     }

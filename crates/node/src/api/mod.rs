@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The node's HTTP API: axum on a small tokio runtime; every request becomes a [`Command`] to the node's thread.
 //!
-//! A request passes [`guard`] (is it for this node, from no foreign page, small, complete?), `auth` (who is it, may
-//! they?), `audit` (write down what changes something) and reaches a route. Routes know nothing of all that: what is
-//! not a look needs the role `operate` and is audited, whatever it is. To add routes, write a module below `routes`
-//! with a function `routes() -> OpenApiRouter<Shared>` and merge it in [`api`]. Pages and their files (outside
-//! `/api/`) go into [`console`]; they are open to everybody.
+//! A request passes [`guard`] (is it for this node, from no foreign page, small, complete?), `auth` (who is the caller,
+//! and may they?), `audit` (a line for each change) and reaches a route. Routes know nothing of all that: every request
+//! but a GET needs the role `operate` and is audited. To add routes, write a module below `routes` with a function
+//! `routes() -> OpenApiRouter<Shared>` and merge it in [`api`]. Pages and their files (outside `/api/`) go into
+//! [`console`]; they need no token.
 
 pub mod audit;
 pub mod auth;

@@ -25,7 +25,7 @@ pub(super) fn base() -> OpenApi {
     Base::openapi()
 }
 
-/// What holds for every route: how to show who one is, and the answers of those who look at a request before it.
+/// What holds for every route: how to authenticate, and the answers of the layers before it.
 pub(super) fn complete(mut api: OpenApi) -> OpenApi {
     let components = api.components.get_or_insert_with(Components::new);
     let token = Http::new(HttpAuthScheme::Bearer);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A stream that gives up on a reader who does not read.
+//! A stream that fails when its reader does not read.
 
 use std::io;
 use std::pin::Pin;

@@ -74,7 +74,7 @@ impl Services {
         };
         let watched = peers.iter().map(|peer| (peer.name.clone(), peer.client.clone())).collect();
         let watch = PeerWatch::start(watched, here).map_err(thread)?;
-        // What a peer calls another node's camera is none of its own, whatever api.peers call the peer.
+        // A peer provides no camera of this node, whatever api.peers call the peer.
         let cameras_of = |node: &NodeId| {
             let cameras = config.rig.cameras_of(node).filter(|_| *node != config.node);
             cameras.map(|(_, camera)| camera.id.clone()).collect()

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where requests come in: a Unix socket, and TCP with or without TLS. Connections are counted, and none may dawdle.
+//! Where requests come in: a Unix socket, and TCP with or without TLS. Connections are counted, and slow ones are
+//! closed.
 
 use super::connections::{Connections, Standing};
 use super::limits::{self, Key};
@@ -105,7 +106,7 @@ impl Listeners {
         Ok(Self { unix, tcp, tls, warnings })
     }
 
-    /// What is dangerous in the way it is configured.
+    /// Warnings about a configuration that is dangerous.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }

@@ -103,10 +103,8 @@ impl Node {
     pub(super) fn record_actions(&self) {
         let (Some(session), Some(action)) = (&self.session, self.devices.unit().action()) else { return };
         for (camera, counts) in action.tally.counts() {
-            if !counts.is_clean() {
-                tracing::warn!(%camera, "{counts}");
-            }
-            session.record(session.event(EventKind::ActionCommands, Some(camera), counts.to_string()));
+            let event = session.event(EventKind::ActionCommands, Some(camera), counts.to_string());
+            if counts.is_clean() { session.record(event) } else { session.warn(event) }
         }
         // What came before Record is not recorded.
         let first = session.kept.as_ref().map_or(0, |kept| kept.first);

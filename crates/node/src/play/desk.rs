@@ -48,11 +48,11 @@ pub enum Wanted {
     FrameSet(u64),
 }
 
-/// What there is of it.
+/// The result of a request.
 #[derive(Debug)]
 pub enum Made {
     Bytes(Arc<Vec<u8>>),
-    /// Nothing, and there never will be.
+    /// There is none, and there never will be.
     Nothing(String),
 }
 
@@ -62,7 +62,7 @@ struct Ask {
     reply: Reply<Made>,
 }
 
-/// Takes questions; its thread, and the process that it has started, end with the last of these.
+/// Takes requests; its thread, and the process that it has started, end with the last of these.
 #[derive(Clone)]
 pub struct Desk {
     asks: Sender<Ask>,
@@ -115,7 +115,7 @@ impl Drop for Ending {
     }
 }
 
-/// Answers of late, the newest last.
+/// The last answers, the newest last.
 #[derive(Default)]
 struct Kept {
     answers: VecDeque<(Done, Wanted, Arc<Vec<u8>>)>,
@@ -152,7 +152,7 @@ impl Work {
     fn run(mut self, inbox: &Receiver<Ask>) {
         loop {
             match inbox.recv_timeout(LINGER) {
-                // Who has looked elsewhere meanwhile is not waited for.
+                // A client that has given up is not answered.
                 Ok(ask) if ask.reply.is_closed() => {}
                 Ok(ask) => {
                     let answer = self.answer(&ask);

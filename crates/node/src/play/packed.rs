@@ -27,7 +27,7 @@ fn along_a_curve(cloud: &Cloud, most: usize) -> Vec<[u8; POINT_BYTES]> {
     let (points, _) = bytes.as_chunks::<POINT_BYTES>();
     let mut points = points.to_vec();
     points.sort_by_cached_key(|point| {
-        // From the least place that there is, so that nothing is negative.
+        // Offset so that nothing is negative.
         let axis = |i: usize| u64::from(u16::from_le_bytes([point[i], point[i + 1]]) ^ 0x8000);
         spread(axis(0)) | spread(axis(2)) << 1 | spread(axis(4)) << 2
     });

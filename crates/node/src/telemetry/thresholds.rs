@@ -61,7 +61,7 @@ pub const FRAMES_MISSING: Threshold = Threshold {
     unit: "%",
     good: 0.0,
     bad: 0.1,
-    meaning: "share of the frames so far that have a gap record instead; any makes the verdict incomplete",
+    meaning: "share of the frames so far that are missing; a single one makes the verdict incomplete",
 };
 /// The highest level of the ring before the writer.
 pub const RING_HIGH_WATER: Threshold = Threshold {
@@ -69,7 +69,7 @@ pub const RING_HIGH_WATER: Threshold = Threshold {
     unit: "%",
     good: 25.0,
     bad: 75.0,
-    meaning: "the fullest that the ring before the writer was in this session; full means lost frames",
+    meaning: "highest level of the buffer before the disk in this session; when it is full, frames are lost",
 };
 /// Time from a frame's last packet until its trigger is known.
 pub const MATCH_P99: Threshold = Threshold {
@@ -77,7 +77,7 @@ pub const MATCH_P99: Threshold = Threshold {
     unit: "ms",
     good: 50.0,
     bad: 250.0,
-    meaning: "from a frame's last packet until its trigger is known, for 99 of 100 frames",
+    meaning: "time from a frame's last packet until its trigger is known, for 99 of 100 frames",
 };
 /// Time in the ring until the writer has taken the frame.
 pub const WRITE_P99: Threshold = Threshold {
@@ -85,7 +85,7 @@ pub const WRITE_P99: Threshold = Threshold {
     unit: "ms",
     good: 100.0,
     bad: 300.0,
-    meaning: "in the ring until the writer had taken the frame, for 99 of 100 frames; the ring holds 400 ms at 120 Hz",
+    meaning: "time in the buffer before the disk, for 99 of 100 frames; it holds 400 ms at 120 Hz",
 };
 /// Time from the writer until the frame survives a power cut.
 pub const DURABLE_P99: Threshold = Threshold {
@@ -93,7 +93,7 @@ pub const DURABLE_P99: Threshold = Threshold {
     unit: "ms",
     good: 600.0,
     bad: 1000.0,
-    meaning: "from the writer until the frame survives a power cut, for 99 of 100 frames; a second is promised",
+    meaning: "time until a written frame survives a power cut, for 99 of 100 frames; expected below a second",
 };
 
 /// Share of a picture's lit pixels that are saturated.
@@ -102,7 +102,7 @@ pub const SATURATED: Threshold = Threshold {
     unit: "%",
     good: 0.2,
     bad: 1.0,
-    meaning: "share of a camera's lit pixels that are saturated: a cut fringe has no phase",
+    meaning: "share of a camera's lit pixels that are saturated: a clipped fringe has no phase",
 };
 /// Median amplitude of the fringes in a picture.
 pub const MODULATION: Threshold = Threshold {
@@ -110,7 +110,7 @@ pub const MODULATION: Threshold = Threshold {
     unit: "DN",
     good: 30.0,
     bad: 12.0,
-    meaning: "median fringe amplitude of what a camera sees lit: the noise of a point goes with its inverse",
+    meaning: "median fringe amplitude of the lit pixels: with a smaller one, points are noisier",
 };
 /// Share of the picture that is lit.
 pub const LIT: Threshold = Threshold {
@@ -118,7 +118,7 @@ pub const LIT: Threshold = Threshold {
     unit: "%",
     good: 2.0,
     bad: 0.5,
-    meaning: "share of a camera's picture that is lit: is there anybody, and light?",
+    meaning: "share of a camera's picture that is lit: is the subject in place, and is the light on?",
 };
 
 /// All thresholds, in the order in which they are shown.
