@@ -1,12 +1,12 @@
-// Whether the calibration held during a session, as the workers found it: a light that says in words what it means.
+// Whether the calibration held during a session, as the workers found it: a light with its meaning in words.
 
 import { $, make, text } from "./elements.js";
 import { node } from "./node-client.js";
 import { nodes } from "./told.js";
 
-const WORDS = { green: "devices stand", amber: "a device has turned", red: "calibrate again", grey: "not known" };
+const WORDS = { green: "OK, nothing has moved", amber: "a device has moved a little", red: "calibrate again", grey: "not checked" };
 
-/** What each node's worker told last, by node. */
+/** The last answer of each node's worker, by node. */
 const lights = new Map();
 
 /** Asks the workers of all nodes. */
@@ -24,7 +24,7 @@ export function lightOf(name, id) {
   const told = [...lights.values()];
   const all = told.flatMap(({ sessions }) => sessions);
   const found = all.find((one) => id && one.session_id === id) ?? all.find((one) => !one.session_id && one.session === name);
-  const unknown = { light: "grey", said: (told.find(({ worker }) => worker) ?? told[0])?.otherwise ?? "no node has told of it yet" };
+  const unknown = { light: "grey", said: (told.find(({ worker }) => worker) ?? told[0])?.otherwise ?? "no node has answered yet" };
   const { light, said } = found ?? unknown;
   return { light, word: WORDS[light], said };
 }

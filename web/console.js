@@ -35,7 +35,7 @@ function watchConnection() {
   const gone = silent > GONE_S;
   $("gone").hidden = !gone;
   $("console").classList.toggle("stale", gone);
-  if (gone) text($("gone"), `NODE ${told.status.node} IS GONE: nothing here is current (${span(silent)})`);
+  if (gone) text($("gone"), `NO NEWS FROM NODE ${told.status.node} FOR ${span(silent)}: nothing here is current`);
 }
 
 async function refreshCapture() {

@@ -7,16 +7,16 @@ import { notReady, sessionsUnderWay, told } from "./told.js";
 /** The HSU's inputs, an edge of which may begin a session: `LINE:rising` or `LINE:falling`. */
 const INPUTS = 8;
 for (let line = 0; line < INPUTS; line++) {
-  for (const edge of ["rising", "falling"]) $("start-on").append(make("option", { value: `${line}:${edge}`, textContent: `at a ${edge} edge of input ${line}` }));
+  for (const edge of ["rising", "falling"]) $("start-on").append(make("option", { value: `${line}:${edge}`, textContent: `when the signal on input ${line} goes ${edge === "rising" ? "on" : "off"}` }));
 }
 
-let refused = null; // why the last button did not do what it says
+let refused = null; // why the last button's request was refused
 let afterwards = async () => {};
 
 /** What is done after each request. */
 export const onAct = (doing) => (afterwards = doing);
 
-/** Seconds before Record and after Stop, where they are asked for. */
+/** Seconds before Record and after Stop, where they are filled in. */
 function spans() {
   const seconds = (id) => Number($(id).value.trim()) || null;
   return { pre_trigger_s: seconds("before"), post_trigger_s: seconds("after") };
@@ -56,7 +56,7 @@ export function showControls() {
   $("start").disabled = !may || (!holding() && (running || missing !== null));
   text($("start-word"), !running && spans().pre_trigger_s ? "Hold" : "Record");
   for (const id of ["stop", "abort"]) $(id).disabled = !running || !may;
-  const looks = may ? null : "this token may look only (role view)";
+  const looks = may ? null : "this token may only view (role view)";
   text($("why"), refused ?? looks ?? missing ?? (running && told.noBody ? `no live body: ${told.noBody}` : ""));
   $("why").title = $("why").textContent;
   $("why").className = refused || missing ? "bad" : "";

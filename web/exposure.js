@@ -111,7 +111,7 @@ async function set(head, exposure_us, gain_db) {
     const lines = answers.flatMap(({ value, reason }, i) => (reason ? [`node ${asked[i].name}: ${reason.message}`] : value.cameras.map(taken)));
     const failed = answers.some(({ reason }) => reason);
     const ids = answers.flatMap(({ value }) => value?.cameras.map(({ id }) => id) ?? []);
-    if (!failed) lines.push(`To keep it, say in the node file, at [[camera]] ${ids.join(", ")}: ${[["exposure_us", exposure_us], ["gain_db", gain_db]].filter(([, value]) => value !== null).map(([word, value]) => `${word} = ${value}`).join(", ")}`);
+    if (!failed) lines.push(`To keep it, write into the node file, at [[camera]] ${ids.join(", ")}: ${[["exposure_us", exposure_us], ["gain_db", gain_db]].filter(([, value]) => value !== null).map(([word, value]) => `${word} = ${value}`).join(", ")}`);
     text($("exposure-said"), lines.join("\n"));
     $("exposure-said").className = failed ? "bad" : "";
     if (!failed) rows.get(head).edited = false;
@@ -126,7 +126,7 @@ async function set(head, exposure_us, gain_db) {
 
 /** What a camera took, in its own features. */
 const taken = ({ id, exposure_us, gain_db, taken }) =>
-  `${id}: asked for ${exposure_us} us, ${gain_db} dB; taken ${taken.map(({ feature, actual }) => `${feature} ${typeof actual === "number" ? Math.round(actual * 100) / 100 : actual}`).join(", ")}`;
+  `${id}: set to ${exposure_us} us, ${gain_db} dB (${taken.map(({ feature, actual }) => `${feature} ${typeof actual === "number" ? Math.round(actual * 100) / 100 : actual}`).join(", ")})`;
 
 $("exposure-open").addEventListener("click", () => {
   for (const shown of rows.values()) shown.edited = false;

@@ -53,7 +53,7 @@ function showDisk() {
 
 function showWorkers() {
   const workers = nodes().flatMap(({ name, status }) => (status?.worker ? [{ name, ...status.worker }] : []));
-  text($("workers"), workers.map(({ name, line }) => `worker of ${name}: ${line}`).join("; "));
+  text($("workers"), workers.map(({ name, line }) => `processing on ${name}: ${line}`).join("; "));
   $("workers").className = workers.some(({ running, set_aside }) => !running || set_aside.length) ? "warn" : "";
   const aside = workers.flatMap(({ set_aside }) => set_aside.map(([session, reason]) => `${session}: ${reason}`));
   $("workers").title = [$("workers").textContent, ...aside].join("\n");

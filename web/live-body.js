@@ -6,7 +6,7 @@ import { $, text } from "./elements.js";
 import { Refused, node } from "./node-client.js";
 import { told } from "./told.js";
 
-/** A body that is older is told in grey, and after some seconds more it is no longer shown. */
+/** A body that is older is shown in grey, and after some seconds more not at all. */
 const OLD_MS = 1000;
 const GONE_MS = 5000;
 /** One turn in half a minute. */
@@ -24,12 +24,12 @@ for (const event of ["pointerdown", "keydown", "wheel"]) canvas.addEventListener
 
 const shares = (cameras) => cameras.map(({ camera, lit, points, refused }) => ({ camera, share: lit ? points / lit : 0, lit, refused }));
 
-/** What is said of the body in words. */
+/** The line below the body. */
 function said({ facts }, age_ms) {
   const poor = shares(facts.cameras).filter(({ share, lit, refused }) => refused || (lit && share < POOR));
-  const of = poor.map(({ camera, share, refused, lit }) => (refused ? `${camera}: ${lit ? "refused" : "sees nobody"}` : `${camera}: ${Math.round(100 * share)} % of what is lit`));
-  const age = age_ms > OLD_MS ? `${(age_ms / 1000).toFixed(1)} s old` : `${Math.round(age_ms)} ms after the light`;
-  return [`${facts.cameras.length} cameras, ${facts.frame_sets_per_s.toFixed(1)} a second, ${age}`, ...of].join(" · ");
+  const of = poor.map(({ camera, share, refused, lit }) => (refused ? `camera ${camera} ${lit ? "gives no certain points" : "sees no body"}` : `camera ${camera} sees only ${Math.round(100 * share)} % of the body`));
+  const age = age_ms > OLD_MS ? `${(age_ms / 1000).toFixed(1)} s old` : `${(age_ms / 1000).toFixed(1)} s delay`;
+  return [`${facts.cameras.length} cameras, ${facts.frame_sets_per_s.toFixed(1)} pictures/s, ${age}`, ...of].join(" · ");
 }
 
 function show() {
@@ -59,7 +59,7 @@ async function next() {
   show();
 }
 
-/** Shows the body for as long as the page is there and somebody is logged in. */
+/** Shows the body for as long as the page is open and logged in. */
 export async function showLiveBody(isOpen) {
   setInterval(show, 250);
   let before = performance.now();

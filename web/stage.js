@@ -13,7 +13,7 @@ function clock(triggers, asked) {
 
 /** Where everything stands: {kind, word, clock, detail, share}. */
 export function state() {
-  if (silence_s() > GONE_S) return { kind: "bad", word: "NO ANSWER", detail: `node ${told.status.node} gives none: nothing here is current` };
+  if (silence_s() > GONE_S) return { kind: "bad", word: "NO ANSWER", detail: `from node ${told.status.node}: nothing here is current` };
   const trouble = problems();
   const more = trouble.length ? [trouble.join("\n")] : [];
   const capture = told.capture;
@@ -21,14 +21,15 @@ export function state() {
   const [session] = sessionsUnderWay();
   if (session) {
     const running = session.triggers > 0;
-    if (session.held) return { kind: "look", word: "HOLDING", detail: `session ${session.name}, begun elsewhere; nothing is recorded yet` };
+    if (session.held) return { kind: "look", word: "STANDBY", detail: `session ${session.name}, begun elsewhere; nothing is recorded yet` };
     const detail = [`session ${session.name}, begun elsewhere`, ...more].join("\n");
     if (!running) return { kind: "warn", word: "PREPARING", detail };
     const [kind, word] = session.dry_run ? ["look", "DRY RUN"] : ["live", "RECORDING"];
     return { kind, word, clock: clock(session.triggers, session.triggers_asked), detail, share: share(session.triggers, session.triggers_asked) };
   }
   if (trouble.length) return { kind: "bad", word: "NOT READY", detail: trouble.join("\n") };
-  return { kind: "good", word: "READY", detail: "every camera and the HSU answer on all nodes" };
+  const cameras = nodes().reduce((sum, { status }) => sum + status.cameras.length, 0);
+  return { kind: "good", word: "READY", detail: `all ${cameras} cameras and the trigger unit (HSU) are ready` };
 }
 
 const share = (triggers, asked) => (asked ? triggers / asked : null);
@@ -42,8 +43,8 @@ function underWay(capture, more) {
   if (at.stage === "preparing") return { kind: "warn", word: "PREPARING", detail: detail("cameras and HSU of all nodes") };
   if (at.stage === "counting_down") return { kind: "warn", word: String(at.left_s), detail: detail("every node is ready") };
   if (at.stage === "unanswered") return { kind: "warn", word: "WAITING", detail: detail(`no status from ${at.place} for ${at.since_s} s; its session goes on`) };
-  if (at.stage === "holding") return { kind: "look", word: "HOLDING", clock: clock(at.triggers, at.asked), detail: detail("nothing is recorded yet: Record keeps these seconds"), share: share(at.triggers, at.asked) };
-  if (at.stage === "awaiting_edge") return { kind: "warn", word: "AWAITING EDGE", detail: detail(`for a ${at.edge.rising ? "rising" : "falling"} edge of the HSU's input ${at.edge.line}`) };
+  if (at.stage === "holding") return { kind: "look", word: "STANDBY", clock: clock(at.triggers, at.asked), detail: detail("nothing is recorded yet: press Record to keep these seconds"), share: share(at.triggers, at.asked) };
+  if (at.stage === "awaiting_edge") return { kind: "warn", word: "WAITING", detail: detail(`for the start signal: a ${at.edge.rising ? "rising" : "falling"} edge of the HSU's input ${at.edge.line}`) };
   if (at.stage === "stopping") return { kind: "warn", word: "STOPPING", detail: detail("after the current trigger") };
   if (!at.triggers) return { kind: "warn", word: "STARTING", detail: detail("the cameras warm up") };
   const [kind, word] = isPreview(capture) ? ["look", "PREVIEW"] : wish.dry_run ? ["look", "DRY RUN"] : ["live", "RECORDING"];
@@ -68,7 +69,7 @@ export function verdict() {
   const dry = sessionsUnderWay().some((session) => session.dry_run);
   const sum = lost.reduce((total, camera) => total + camera.lost, 0);
   const lines = lost.filter((camera) => camera.lost || camera.silent)
-    .map((camera) => `${camera.id}: ${camera.lost} lost${camera.silent ? ", not heard" : ""}`);
+    .map(({ id, lost: frames, silent }) => `camera ${id}${silent ? " sends nothing" : ""}: ${count(frames, "frame")} lost`);
   if (dry) lines.push("nothing is recorded");
   const before = soFar().detail;
   if (before) lines.push(before);

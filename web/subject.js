@@ -29,7 +29,7 @@ function said(capture, rate) {
   ended ??= { number: capture.number, at: performance.now() };
   const over = performance.now() - ended.at > DONE_MS;
   if (over || capture.fault || !capture.takes.length) return wait;
-  return { kind: "done", word: "DONE", detail: "thank you; please wait until you are told" };
+  return { kind: "done", word: "DONE", detail: "thank you; please wait where you are" };
 }
 
 async function loop() {

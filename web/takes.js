@@ -9,7 +9,7 @@ import { nodes, sessionsUnderWay, told } from "./told.js";
 import { causesOf, expectedOf, framesOf, kindOf, worstOf } from "./verdict.js";
 
 const LISTED = 200;
-const RATINGS = [["good", "Good"], ["doubtful", "Doubtful"], ["bad", "Bad"]];
+const RATINGS = [["good", "Good"], ["doubtful", "Unsure"], ["bad", "Bad"]];
 
 /** What is shown, as text: so that the list is made anew only when it has changed. */
 let listed = "";
@@ -65,7 +65,7 @@ function sumUp({ name, created_ns, parts }, silent) {
     for (const { node: from, entry } of parts) if (!entry.verdict) causes.push(`node ${from}: ${entry.problem ?? "not finished"}`);
     if (alone) causes.push(`recorded by node ${parts.map(({ node: from }) => from).join(", ")} only`);
   }
-  if (unknown.length) causes.push(`what node ${unknown.join(", ")} has of it is not known now`);
+  if (unknown.length) causes.push(`node ${unknown.join(", ")} does not answer: its part is not listed`);
   const { subject, note } = parts[0].entry;
   const remark = parts.map(({ entry }) => entry.remark).find(Boolean) ?? {};
   const id = parts.map(({ entry }) => entry.session_id).find(Boolean);
@@ -98,7 +98,7 @@ function remarkOf(take) {
   });
   const note = make("input", { value: remark.note ?? "", placeholder: "note on this take", maxLength: 500, disabled: !may, onchange: () => keep({ note: note.value.trim() || null }) });
   note.setAttribute("aria-label", `note on ${take.name}`);
-  const look = make("button", { type: "button", textContent: "Look", onclick: () => openLook(take.name, true) });
+  const look = make("button", { type: "button", textContent: "Quick look", onclick: () => openLook(take.name, true) });
   look.setAttribute("aria-label", `quick look at ${take.name}`);
   const mark = () => RATINGS.forEach(([rating], i) => buttons[i].setAttribute("aria-pressed", String(remark.rating === rating)));
   let kept = Promise.resolve();

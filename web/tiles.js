@@ -8,7 +8,9 @@ import { cameraProblem, lossOf, nodes } from "./told.js";
 const LIVE_S = 2;
 /** Advice by an older picture is of other light. */
 const ADVICE_S = 60;
-const FIGURES = [["saturated", "saturated"], ["modulation", "modulation"], ["focus", "focus"], ["lost", "lost"]];
+const FIGURES = [["saturated", "overexposed"], ["modulation", "stripes"], ["focus", "sharpness"], ["lost", "lost"]];
+/** Contrast of the stripes in one word, by its grade. */
+const STRIPES = { good: "good", fair: "fair", bad: "weak" };
 
 const cameras = new Map();
 
@@ -52,11 +54,12 @@ export function showTiles() {
   if ($("tiles").childElementCount !== ids.length) $("tiles").replaceChildren(...ids.map((id) => cameras.get(id).box));
 }
 
-/** By how much to change the exposure; nothing where it is as right as anybody can set it. */
+/** By how much to change the exposure; nothing where it is right. */
 function exposureAdvice(exposure) {
   if (!exposure || (Math.abs(exposure.ev) < 0.3 && exposure.saturated < 0.005)) return "";
-  const saturated = exposure.saturated >= 0.005 ? `: ${(100 * exposure.saturated).toFixed(0)} % saturated` : "";
-  return `exposure ${exposure.ev < 0 ? "" : "+"}${exposure.ev.toFixed(1)} EV${saturated}`;
+  const overexposed = exposure.saturated >= 0.005 ? `, ${(100 * exposure.saturated).toFixed(0)} % overexposed` : "";
+  const advice = exposure.ev < 0 ? "too bright: darken" : "too dark: brighten";
+  return `${advice} by ${Math.abs(exposure.ev).toFixed(1)} EV${overexposed}`;
 }
 
 function showTile(shown, from, camera) {
@@ -98,12 +101,12 @@ function showLight(shown, { light, grades }) {
   const live = ageOf(shown) < LIVE_S;
   const kind = (key) => (live ? grades[key] : "");
   grade(shown.figures.saturated, `${(100 * light.saturated).toFixed(2)} %`, kind("saturated"));
-  grade(shown.figures.modulation, `${light.modulation_dn.toFixed(0)} DN`, kind("modulation"));
-  shown.figures.modulation.title = `${(100 * light.contrast).toFixed(0)} % contrast`;
+  grade(shown.figures.modulation, STRIPES[grades.modulation], kind("modulation"));
+  shown.figures.modulation.title = `amplitude of the stripes ${light.modulation_dn.toFixed(0)} of 255 grey values, contrast ${(100 * light.contrast).toFixed(0)} %`;
   if (live) shown.best = Math.max(shown.best, light.focus);
-  // Focus has no right value: the best one so far stands beside it.
+  // Sharpness has no right value: the best one so far stands beside it.
   text(shown.figures.focus, light.focus.toFixed(1));
-  text(shown.labels.focus, shown.best ? `focus of ${shown.best.toFixed(1)}` : "focus");
+  text(shown.labels.focus, shown.best ? `sharp, best ${shown.best.toFixed(1)}` : "sharpness");
 }
 
 function grade(element, value, kind) {

@@ -48,7 +48,7 @@ export function showTimeLine() {
     text($("line-ring"), `${Math.round(100 * last.ring)} %`);
     $("line-ring").title = `at most ${Math.round(100 * last.most)} % in this session`;
     $("line-ring").className = last.ring >= 0.75 ? "bad" : last.ring >= 0.25 ? "warn" : "";
-    const what = `${shown.name}: trigger ${last.trigger}${shown.asked ? ` of ${shown.asked}` : ""}, ${count(lost, "frame")} lost, ring ${Math.round(100 * last.most)} % at most`;
+    const what = `${shown.name}: trigger ${last.trigger}${shown.asked ? ` of ${shown.asked}` : ""}, ${count(lost, "frame")} lost, buffer at most ${Math.round(100 * last.most)} % full`;
     if ($("line-canvas").ariaLabel !== what) $("line-canvas").ariaLabel = what;
   }
   $("line-canvas").dataset.samples = String(shown.samples.length);
@@ -79,7 +79,7 @@ function paint(canvas) {
   const last = shown.samples.at(-1);
   if (!last) {
     pen.fillStyle = colour("soft");
-    pen.fillText("the time line of the next session: losses of each camera, and the ring", 4, height / 2);
+    pen.fillText("lost frames appear here while you record", 4, height / 2);
     return;
   }
   const begin = 4.2 * size;
@@ -90,7 +90,7 @@ function paint(canvas) {
   shown.cameras.forEach((id, row) => paintLane(pen, id, { row, lane, x, begin, size }));
   paintRing(pen, { top: lanes + 3, height: height - lanes - size - 4, x, begin });
   pen.fillStyle = colour("soft");
-  pen.fillText("ring", 2, lanes + (height - lanes - size) / 2);
+  pen.fillText("buffer", 2, lanes + (height - lanes - size) / 2);
   pen.fillText("0 s", begin, height - size / 2);
   const seconds = `${(end / (nodes()[0]?.last?.trigger_rate_hz || 1)).toFixed(1)} s`;
   pen.fillText(seconds, width - pen.measureText(seconds).width - 2, height - size / 2);

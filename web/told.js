@@ -52,12 +52,12 @@ export function lossOf(status, id) {
 /** What is wrong with a camera in one sentence; null where nothing is. A session notices within three triggers that a
  * camera is silent, its driver some seconds later. */
 export function cameraProblem({ name, status, age_s }, camera) {
-  if (!status) return Number.isFinite(age_s) ? `no word of node ${name} for ${Math.floor(age_s)} s` : `no word of node ${name}`;
+  if (!status) return Number.isFinite(age_s) ? `no status from node ${name} for ${Math.floor(age_s)} s` : `no status from node ${name}`;
   if (camera.problem) return camera.problem;
-  return progressOf(status, camera.id)?.silent ? "silent: nothing heard" : null;
+  return progressOf(status, camera.id)?.silent ? "stopped sending pictures" : null;
 }
 
-/** Everything that is wrong now, each in one sentence with its place; what is wrong with several cameras is said once. */
+/** Everything that is wrong now, each in one sentence with its place; the same problem of several cameras is one sentence. */
 export function problems() {
   const found = [];
   const cameras = new Map();
@@ -68,11 +68,11 @@ export function problems() {
       found.push(`node ${name} does not answer${since}: is its PC on, and \`fourdbody node\` running there?`);
       continue;
     }
-    if (age_s > 2 * OLD_S) found.push(`node ${name} is busy with its devices: what it says is ${Math.floor(age_s)} s old`);
+    if (age_s > 2 * OLD_S) found.push(`node ${name} is busy with its devices: its status is ${Math.floor(age_s)} s old`);
     for (const camera of status.cameras) {
       const problem = cameraProblem(node, camera);
       if (!problem) continue;
-      const words = problem.replace(`camera ${camera.id} is `, "").replace(`camera ${camera.id}: `, "");
+      const words = problem.replace(`camera ${camera.id} `, "").replace(`camera ${camera.id}: `, "");
       cameras.set(words, [...(cameras.get(words) ?? []), camera.id]);
     }
     if (status.hsu.problem) found.push(`HSU at node ${name}: ${status.hsu.problem}`);
@@ -92,7 +92,7 @@ export function notReady(partial) {
   const full = known.find(({ status }) => status.judgements.some(({ name, value }) => name === "disk_time_left" && value <= 0));
   if (full) return `the disk of node ${full.name} is full: delete or move sessions`;
   const absent = told.status.rig_nodes.filter((name) => !known.some((node) => node.name === name));
-  if (absent.length && !partial) return `node ${absent.join(", ")} of the rig is not among this node's peers; ask for a part of the rig`;
+  if (absent.length && !partial) return `node ${absent.join(", ")} of the rig is not among this node's peers; tick Partial to record without it`;
   return null;
 }
 

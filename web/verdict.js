@@ -16,7 +16,7 @@ const gapsOf = (camera) => Object.entries(camera.gaps).map(([cause, number]) => 
 export function causesOf(verdict) {
   const lines = verdict.cameras.filter((camera) => Object.keys(camera.gaps).length).map((camera) => `${camera.camera}: ${gapsOf(camera)}`);
   lines.push(...(verdict.advice ?? []));
-  if (verdict.unconfirmed) lines.push(`${count(verdict.unconfirmed, "camera")} with frames of one witness`);
+  if (verdict.unconfirmed) lines.push(`the timing of some frames is not proven: ${count(verdict.unconfirmed, "camera")}`);
   lines.push(...(verdict.changed ?? []).map((changed) => `changed: ${changed}`));
   lines.push(...(verdict.not_simultaneous ?? []).map((apart) => `not simultaneous with the others: ${apart}`));
   if (verdict.refused) lines.push(`${count(verdict.refused, "frame")} refused`);
@@ -38,14 +38,14 @@ function sumUp(take) {
       sum.causes.push(...causesOf(verdict).map((cause) => `node ${node}: ${cause}`));
     } else {
       const written = session.cameras.reduce((frames, camera) => frames + camera.frames, 0);
-      sum.causes.push(`node ${node}: ${session.outcome?.failed?.message ?? "no verdict"}; ${count(written, "frame")} when last heard of`);
+      sum.causes.push(`node ${node}: ${session.outcome?.failed?.message ?? "no verdict"}; ${count(written, "frame")} at its last status`);
     }
   }
-  if (take.not_asked?.length) sum.causes.push(`node ${take.not_asked.join(", ")} was not asked`);
+  if (take.not_asked?.length) sum.causes.push(`node ${take.not_asked.join(", ")} took no part`);
   return sum;
 }
 
-/** A fault's message; what several nodes say in the same words is said once. */
+/** A fault's message; the same reason of several nodes is shown once. */
 function saidOnce(message) {
   const parts = message.split("; ").map((part) => part.match(/^node ([^:]+): (.*)$/s));
   if (parts.length < 2 || parts.some((part) => !part || part[2] !== parts[0][2])) return message;

@@ -7,7 +7,7 @@ use crate::base::ids::one_line;
 use crate::base::{Exit, Fault};
 use crate::capture::participant::Participant;
 use crate::capture::report::Captured;
-use crate::capture::run::{CaptureRequest, Control, Stage};
+use crate::capture::request::{CaptureRequest, Control, Stage};
 use crate::capture::series::{self, Series};
 use crate::control::request::StartOn;
 use std::collections::BTreeSet;

@@ -2,7 +2,7 @@
 //! `fourdbody node`: the daemon of one acquisition PC.
 
 use super::failure::Failure;
-use crate::api::{self, Auth, Listeners, NodeHandle, Services, Shared};
+use crate::api::{self, Auth, Listeners, NodeHandle, Services, Shared, State};
 use crate::base::Exit;
 use crate::config::NodeConfig;
 use crate::host::process_limits::ProcessMemory;
@@ -49,9 +49,8 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .enable_all()
         .build()
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the API's runtime: {e}")))?;
-    let usage = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, e);
-    let auth = Auth::new(&config.api).map_err(|e| usage(&format!("api.tokens: {e}")))?;
-    let listeners = runtime.block_on(Listeners::bind(&config.api)).map_err(|e| usage(&e))?;
+    let auth = Auth::new(&config.api)?;
+    let listeners = runtime.block_on(Listeners::bind(&config.api))?;
     // Before anything is recorded: a recording in progress looks the same.
     let mut unfinished = interrupted(&config.sessions_dir);
     unfinished.retain(|found| found.node == config.node);
@@ -60,20 +59,21 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .block_on(async { StopSignals::watch() })
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot watch signals: {e}")))?;
     let driver = NodeThread::start(config.clone(), backend).map_err(|e| Failure::new(Exit::Failure, e))?;
-    driver.status().write().unwrap_or_else(PoisonError::into_inner).interrupted = unfinished;
+    driver.status.write().unwrap_or_else(PoisonError::into_inner).interrupted = unfinished;
     let read = api::OutcomeRead::default();
     let handle = NodeHandle {
-        commands: driver.commands(),
-        status: driver.status(),
+        commands: driver.commands.clone(),
+        status: Arc::clone(&driver.status),
         read: Arc::clone(&read),
-        telemetry: driver.telemetry(),
+        telemetry: Arc::clone(&driver.telemetry),
     };
     let (listen, socket) =
         (config.api.listen, config.api.socket.as_ref().map(|s| s.path.display().to_string()));
-    let notifier = Notifier::start(driver.status(), driver.telemetry())
+    let notifier = Notifier::start(Arc::clone(&driver.status), Arc::clone(&driver.telemetry))
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot start a thread: {e}")))?;
-    let services = Services::start(&config, driver.commands(), driver.status(), driver.taps())?;
-    let shared = Shared::new(config, handle, auth, services, &listeners)
+    let services =
+        Services::start(&config, driver.commands.clone(), Arc::clone(&driver.status), driver.taps.clone())?;
+    let shared = State::new(config, handle, auth, services, &listeners)
         .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the audit log's thread: {e}")))?;
     tracing::info!(listen = listen.map(tracing::field::display), socket, "node is up");
     let quick_looks = shared.services.quick_looks.clone();
@@ -150,7 +150,7 @@ async fn until_fetched(driver: &NodeThread, read: &api::OutcomeRead) {
     while !driver.has_ended() {
         tokio::time::sleep(POLL).await;
     }
-    let status = driver.status();
+    let status = &driver.status;
     let last = match status.read() {
         Ok(status) => status.session.as_ref().map(|session| session.session_id),
         Err(poisoned) => poisoned.into_inner().session.as_ref().map(|session| session.session_id),

@@ -3,9 +3,7 @@
 
 use super::failure::Failure;
 use crate::base::Exit;
-use crate::control::tokens::{
-    Role, SecretHash, Token, TokenError, TokenList, random_text, token_name, write_private,
-};
+use crate::control::tokens::{Role, SecretHash, Token, TokenList, random_text, token_name, write_private};
 use std::path::{Path, PathBuf};
 
 /// Make, renew, revoke and list the tokens of a node.
@@ -70,12 +68,8 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     }
 }
 
-fn usage(error: TokenError) -> Failure {
-    Failure::new(Exit::Usage, error)
-}
-
 fn new(path: &Path, role: Role, name: &str, file: &Path, replace: bool) -> Result<Exit, Failure> {
-    let mut list = if path.exists() { TokenList::load(path).map_err(usage)? } else { TokenList::default() };
+    let mut list = if path.exists() { TokenList::load(path)? } else { TokenList::default() };
     let known = list.0.iter().position(|token| token.name == name);
     if known.is_some() && !replace {
         let message = format!("{} has a token for {name} already; renew it with --replace", path.display());
@@ -89,14 +83,14 @@ fn new(path: &Path, role: Role, name: &str, file: &Path, replace: bool) -> Resul
         None => list.0.push(token),
     }
     // A secret that no node knows harms nobody; a node that waits for a lost secret helps nobody.
-    write_private(file, &format!("{secret}\n"), replace).map_err(usage)?;
-    list.save(path).map_err(usage)?;
+    write_private(file, &format!("{secret}\n"), replace)?;
+    list.save(path)?;
     println!("{name} ({role}): the secret is in {}, its hash in {}", file.display(), path.display());
     Ok(Exit::Done)
 }
 
 fn revoke(path: &Path, name: &str) -> Result<Exit, Failure> {
-    let mut list = TokenList::load(path).map_err(usage)?;
+    let mut list = TokenList::load(path)?;
     let before = list.0.len();
     list.0.retain(|token| token.name != name);
     if list.0.len() == before {
@@ -104,13 +98,13 @@ fn revoke(path: &Path, name: &str) -> Result<Exit, Failure> {
         let message = format!("{} has no token for {name}; it has: {}", path.display(), names.join(", "));
         return Err(Failure::new(Exit::Usage, message));
     }
-    list.save(path).map_err(usage)?;
+    list.save(path)?;
     println!("{name}: revoked");
     Ok(Exit::Done)
 }
 
 fn list(path: &Path, json: bool) -> Result<Exit, Failure> {
-    let list = TokenList::load(path).map_err(usage)?;
+    let list = TokenList::load(path)?;
     if json {
         let tokens: Vec<_> = list
             .0

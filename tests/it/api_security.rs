@@ -4,7 +4,9 @@
 use crate::api_node::{ApiNode, listen, new_token, write_config};
 use crate::lab::{assert_contains, fourdbody, text_of};
 use fourdbody::api::limits;
+use fourdbody::capture::participant::Participant;
 use fourdbody::control::client::{Credentials, NodeClient};
+use fourdbody::control::status::Via;
 use std::io::Write;
 use std::os::unix::fs::{FileTypeExt, MetadataExt, PermissionsExt};
 use std::path::Path;
@@ -440,7 +442,7 @@ fn a_browser_logs_in_and_out() {
     let audit = node.audit();
     let find =
         |what: &str, status| audit.iter().find(|line| line.what.ends_with(what) && line.status == status);
-    let started = audit.iter().find(|line| line.what == START && line.via.as_deref() == Some("cookie"));
+    let started = audit.iter().find(|line| line.what == START && line.via == Some(Via::Cookie));
     let started = started.filter(|line| line.status == 409).expect("in the log");
     assert_eq!(started.who, "otto");
     assert_eq!(started.session_id.as_deref(), Some("0000000000000001"));

@@ -3,6 +3,7 @@
 
 use crate::lab::{self, NodeProcess, fourdbody, text_of};
 use fourdbody::base::ids::TriggerIndex;
+use fourdbody::capture::participant::Participant;
 use fourdbody::control::request::{KeepRequest, Phase};
 use fourdbody::control::status::{NodeStatus, path};
 use fourdbody::record::{

@@ -79,7 +79,7 @@ fn a_node_that_is_told_to_shut_down_answers_until_its_verdict_was_read() {
     signal("-TERM", nodes[0].pid());
     let output = capture.wait_with_output().expect("it ends");
     let text = text_of(&output);
-    assert!(text.contains("the node was told to shut down"), "{text}");
+    assert!(text.contains("the node was shut down"), "{text}");
     assert!(!text.contains("does not answer"), "the verdict of node a was not read: {text}");
     assert!(!output.status.success(), "{text}");
     nodes[0].wait_exit();

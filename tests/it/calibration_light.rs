@@ -3,8 +3,9 @@
 
 use crate::browser::Browser;
 use crate::lab::{NodeProcess, SIZE, options, small_rig, start, start_nodes};
+use fourdbody::base::time::host_time_ns;
 use fourdbody::calibrate::drift::history::{Checked, History, Verdict};
-use fourdbody::worker::state::{Activity, OWN_DIR, WorkerState, now_ns};
+use fourdbody::worker::state::{Activity, OWN_DIR, WorkerState};
 use hyper::{Method, StatusCode};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
@@ -47,20 +48,21 @@ fn a_session_has_a_light_with_words() {
     let browser = Browser::start();
     if let Some(browser) = &browser {
         browser.open(&format!("http://127.0.0.1:{}/", laboratory.nodes[0].port));
-        browser.wait_text("verdict-light", "no worker has been at work");
+        browser.wait_text("verdict-light", "no worker has run");
         assert_eq!(browser.run("return document.getElementById('verdict-light').className"), "light grey");
     }
-    let state = WorkerState { activity: Activity::Idle, written_ns: now_ns(), ..WorkerState::default() };
+    let state =
+        WorkerState { activity: Activity::Idle, written_ns: host_time_ns(), ..WorkerState::default() };
     std::fs::create_dir_all(results.join(OWN_DIR)).expect("writable");
     state.store(&results).expect("writable");
     if let Some(browser) = &browser {
-        browser.wait_text("verdict-light", "not looked at yet");
+        browser.wait_text("verdict-light", "not checked yet");
     }
     let verdicts = [
-        (Verdict::Turned, "amber", "a device has turned"),
+        (Verdict::Turned, "amber", "a device has moved a little"),
         (Verdict::CalibrateAgain, "red", "calibrate again"),
-        (Verdict::NotKnown, "grey", "not known"),
-        (Verdict::Stands, "green", "devices stand"),
+        (Verdict::NotKnown, "grey", "not checked"),
+        (Verdict::Stands, "green", "OK, nothing has moved"),
     ];
     for (verdict, light, word) in verdicts {
         let said = format!("said of {light} <b>");

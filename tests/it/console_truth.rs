@@ -75,7 +75,7 @@ fn an_edge_of_an_input_begins_a_session_and_stop_ends_the_waiting() {
         scene.fill(name, "0.5", "1", "0");
         scene.browser.run("document.getElementById('start-on').value = '2:rising'");
         scene.browser.press("r");
-        scene.browser.wait_word("AWAITING EDGE");
+        scene.browser.wait_word("WAITING");
         scene.browser.wait_text("detail", "rising edge of the HSU's input 2");
     };
     begin(&scene, "never");
@@ -119,7 +119,7 @@ fn seconds_before_record_are_kept(scene: &Scene) {
         "return document.getElementById('start').innerText.startsWith('Hold')",
     );
     browser.press("r");
-    browser.wait_word("HOLDING");
+    browser.wait_word("STANDBY");
     browser.keep("holding");
     browser
         .wait("a second is held", "return document.getElementById('clock').textContent === '1.0 of 1.0 s'");
@@ -239,7 +239,7 @@ fn what_is_thought_of_a_take_is_kept(scene: &Scene) {
         );
     }
     browser.type_in("search", "pair-01");
-    let pressed = "return document.querySelector('[data-name=\"pair-01\"] [aria-pressed=\"true\"]')?.textContent === 'Doubtful'";
+    let pressed = "return document.querySelector('[data-name=\"pair-01\"] [aria-pressed=\"true\"]')?.textContent === 'Unsure'";
     browser.wait("the rating came back", pressed);
 }
 
@@ -279,7 +279,7 @@ fn a_node_is_killed(scene: &mut Scene) {
     browser.wait_word("NOT READY");
     let dead = "const b = [...document.querySelectorAll('.camera')].filter((box) => /^camera-h[23]/.test(box.id));
         return b.length === 4 && b.every((box) => box.classList.contains('bad') && box.classList.contains('old') &&
-            box.querySelector('.age').textContent.includes('old') && box.innerText.includes('no word of node b'))";
+            box.querySelector('.age').textContent.includes('old') && box.innerText.includes('no status from node b'))";
     browser.wait("the dead node's pictures are old", dead);
     browser.wait(
         "its age grows",

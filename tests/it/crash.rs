@@ -291,6 +291,7 @@ mod node {
     use super::{BOUND, Random, median_and_most, number};
     use crate::lab::{NodeProcess, fourdbody, laboratory, start_capture, start_nodes, text_of};
     use fourdbody::base::ids::TriggerIndex;
+    use fourdbody::capture::participant::Participant;
     use fourdbody::control::client::NodeClient;
     use fourdbody::control::request::Phase;
     use fourdbody::control::status::SessionStatus;

@@ -94,7 +94,7 @@ fn what_cannot_be_is_refused_and_changes_nothing(node: &NodeProcess) {
         (json!({ "heads": ["h0"] }), "found neither"),
         (json!({ "heads": ["h0"], "gain_db": -1.0 }), "expected a gain"),
         // The rig has nothing against it, the camera has.
-        (json!({ "heads": ["h1", "h0"], "gain_db": 99.0 }), "nothing was set"),
+        (json!({ "heads": ["h1", "h0"], "gain_db": 99.0 }), "nothing was changed"),
     ];
     for (request, why) in cases {
         let (status, fault) = expose(node, "/api/v1/exposure", &request);
@@ -156,8 +156,8 @@ fn the_page_sets_it_and_the_preview_goes_on(laboratory: &Laboratory, nodes: &mut
     set("70000");
     browser.wait_text("exposure-said", "node b: head h3: expected an exposure");
     set("1250");
-    browser.wait_text("exposure-said", "h3_low: asked for 1250 us, 0 dB; taken ExposureTime 1250, Gain 0");
-    browser.wait_text("exposure-said", "To keep it, say in the node file");
+    browser.wait_text("exposure-said", "h3_low: set to 1250 us, 0 dB (ExposureTime 1250, Gain 0");
+    browser.wait_text("exposure-said", "To keep it, write into the node file");
     browser.wait(
         "shown as another than the file's",
         &format!("{row} return row.textContent.includes('1250 us') && row.textContent.includes('not as in the node file')"),

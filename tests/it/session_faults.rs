@@ -305,7 +305,7 @@ fn what_a_stalled_node_had_written_is_told() {
     signal(&nodes[1], libc::SIGCONT);
     let text = text_of(&output);
     assert!(!text.contains("nothing recorded"), "{text}");
-    assert!(text.contains("when last heard of") && text.contains("fourdbody recover"), "{text}");
+    assert!(text.contains("at the last status") && text.contains("fourdbody recover"), "{text}");
 }
 
 #[test]

@@ -75,7 +75,7 @@ fn half_a_rig_is_asked_for_by_name_and_is_never_called_complete() {
     };
     let refused = capture("half", &[]);
     assert_eq!(refused.status.code(), Some(2), "{}", text_of(&refused));
-    assert_contains(&text_of(&refused), &["node b, which was not asked", "--nodes", "--partial"]);
+    assert_contains(&text_of(&refused), &["node b, which does not take part", "--nodes", "--partial"]);
     let session = dir.path().join("sessions/half");
     assert!(!session.exists(), "nothing is left behind");
 
@@ -83,7 +83,7 @@ fn half_a_rig_is_asked_for_by_name_and_is_never_called_complete() {
     assert_eq!(part.status.code(), Some(0), "{}", text_of(&part));
     assert_contains(
         &text_of(&part),
-        &["session half: partial", "partial: node b not asked", "node a: complete"],
+        &["session half: partial", "partial: node b took no part", "node a: complete"],
     );
     let verified = fourdbody(&["verify", &session.display().to_string()]);
     assert_eq!(verified.status.code(), Some(0), "{}", text_of(&verified));
@@ -94,7 +94,7 @@ fn half_a_rig_is_asked_for_by_name_and_is_never_called_complete() {
     // Nothing is lost in a dry run; it says what it was of.
     let dry = capture("dry", &["--dry-run"]);
     assert_eq!(dry.status.code(), Some(0), "{}", text_of(&dry));
-    assert_contains(&text_of(&dry), &["dry run dry: partial", "node b not asked"]);
+    assert_contains(&text_of(&dry), &["dry run dry: partial", "node b took no part"]);
     // Whole is whole.
     the_next_session_works(&laboratory, "whole");
 }

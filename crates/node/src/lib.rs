@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A node: its session, its HTTP server, its console's pictures, its worker, and a capture over all nodes.
 
+#![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]
+
 use fourdbody_calibrate as calibrate;
 use fourdbody_core::{base, config, data};
 use fourdbody_devices::{acquire, camera, hsu};
@@ -8,7 +10,7 @@ use fourdbody_reconstruct as reconstruct;
 use fourdbody_record::{self as record, host, matcher};
 use fourdbody_results::batch;
 
-/// The node's HTTP server.
+/// The node's HTTP server, with its console.
 pub mod api;
 /// A capture over all nodes, from whichever of them it is run.
 pub mod capture;
@@ -26,8 +28,10 @@ pub mod preview;
 pub mod report;
 /// Recordings and results in an object store.
 pub mod s3;
-/// What the service manager is told.
+/// Readiness, status and watchdog of the service manager.
 pub mod systemd;
+/// A process of this program that may be ended at any moment.
+mod task;
 /// What a running node counts: metrics, and thresholds that judge them.
 pub mod telemetry;
 /// Reconstructs what was recorded, by itself, when nothing else is to be done.

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the service manager is told of a node: that it is ready, how it does, and that its data path moves.
+//! Reports to the service manager: that the node is ready, how it is, and that its data path moves.
 //!
-//! Ready means that every camera and the HSU link are verified. The watchdog is fed by counters that the threads of the data
-//! path themselves drive, never by a timer alone: a thread that hangs lets the watchdog bite. See systemd/.
+//! Ready means that every camera and the HSU link are verified. The watchdog is fed by counters that the threads of
+//! the data path themselves drive, never by a timer alone: a thread that hangs lets the watchdog expire. See systemd/.
 
 use crate::control::request::Phase;
 use crate::control::status::{NodeStatus, Outcome};
@@ -31,14 +31,14 @@ fn moved(before: &[u64], now: &[u64]) -> bool {
     before.len() != now.len() || before.iter().zip(now).all(|(before, now)| before != now)
 }
 
-/// Tells the service manager until it is dropped.
+/// The thread that reports to the service manager; it ends when this is dropped.
 #[derive(Debug)]
 pub struct Notifier {
     ended: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// How often the status is looked at.
+/// Time between two looks at the status.
 const LOOK: Duration = Duration::from_millis(200);
 
 impl Notifier {
@@ -52,7 +52,7 @@ impl Notifier {
         }
         let ended = Arc::new(AtomicBool::new(false));
         let seen = Arc::clone(&ended);
-        let run = move || Teller { status, telemetry, ready: false, told: String::new() }.run(&seen);
+        let run = move || Reporter { status, telemetry, ready: false, shown: String::new() }.run(&seen);
         let thread = std::thread::Builder::new().name("service".to_owned()).spawn(run)?;
         Ok(Some(Self { ended, thread: Some(thread) }))
     }
@@ -67,24 +67,24 @@ impl Drop for Notifier {
     }
 }
 
-struct Teller {
+struct Reporter {
     status: Arc<RwLock<NodeStatus>>,
     telemetry: Arc<Telemetry>,
     ready: bool,
-    told: String,
+    shown: String,
 }
 
-impl Teller {
+impl Reporter {
     fn run(mut self, ended: &AtomicBool) {
         // Fed four times in the watchdog's time.
         let watchdog = sd_notify::watchdog_enabled().map(|time| time / 4);
         let (mut fed, mut before) = (Instant::now(), self.turns());
         while !ended.load(Ordering::Acquire) {
-            self.tell_status();
+            self.report_status();
             if watchdog.is_some_and(|period| fed.elapsed() >= period) {
                 let now = self.turns();
                 if moved(&before, &now) {
-                    tell(&[NotifyState::Watchdog]);
+                    notify(&[NotifyState::Watchdog]);
                 } else {
                     tracing::error!(?before, ?now, "a thread of the data path does not move");
                 }
@@ -92,7 +92,7 @@ impl Teller {
             }
             std::thread::sleep(LOOK);
         }
-        tell(&[NotifyState::Stopping, NotifyState::Status("ending the session in progress")]);
+        notify(&[NotifyState::Stopping, NotifyState::Status("ending the session in progress")]);
     }
 
     fn turns(&self) -> Vec<u64> {
@@ -100,25 +100,25 @@ impl Teller {
         turns(&self.telemetry, phase)
     }
 
-    fn tell_status(&mut self) {
+    fn report_status(&mut self) {
         let (ready, text) = {
             let status = self.status.read().unwrap_or_else(PoisonError::into_inner);
             (is_ready(&status), in_words(&status))
         };
         if ready && !self.ready {
-            tell(&[NotifyState::Ready]);
+            notify(&[NotifyState::Ready]);
             self.ready = true;
         }
-        if text != self.told {
-            tell(&[NotifyState::Status(&text)]);
-            self.told = text;
+        if text != self.shown {
+            notify(&[NotifyState::Status(&text)]);
+            self.shown = text;
         }
     }
 }
 
-fn tell(what: &[NotifyState<'_>]) {
+fn notify(what: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(what) {
-        tracing::debug!("the service manager was not told: {error}");
+        tracing::debug!("the service manager was not notified: {error}");
     }
 }
 

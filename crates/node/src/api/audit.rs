@@ -1,23 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The audit log: a line of JSON for every change of state, durable before it is answered, and for refusals, rarely.
 //!
-//! A thread of its own writes, so that a slow disk keeps no request but the one whose line it is, and that one only
-//! for [`PATIENCE`]. What cannot be written is told in the log and in the status; it stops nothing, because a session
-//! that cannot be stopped is worse than a line that is missing.
+//! A thread of its own writes, so that a slow disk delays only the request whose line it is, and that one only for
+//! [`PATIENCE`]. A line that cannot be written is reported in the log and in the status; it stops nothing, because a
+//! session that cannot be stopped is worse than a missing line.
 
 use super::Shared;
-use super::auth::{Caller, only_looks};
+use super::auth::{Caller, only_looks, what_of};
 use super::guard::Sent;
 use super::limits::{Buckets, Key, Rate};
 use super::refusal::Refusal;
 use super::transport::Link;
 use crate::base::time::host_time_ns;
 use crate::base::{Exit, Fault, regular};
-use crate::control::request::Phase;
+use crate::control::request::{Phase, is_zero};
 use crate::control::status::{SessionStatus, Via, path};
 use crate::control::tokens::Role;
 use axum::extract::{Request, State};
-use axum::http::{Method, StatusCode};
+use axum::http::StatusCode;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -31,55 +31,49 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
 
-/// An answer waits so long for its line.
+/// Longest time that an answer waits for its line.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// Lines that wait for the disk.
+/// Number of lines that may wait for the disk.
 const WAITING_MAX: usize = 256;
-/// A file of this size becomes `NAME.1`, that one `NAME.2`, and so on.
+/// Size in bytes at which a file becomes `NAME.1`, that one `NAME.2`, and so on.
 const FILE_BYTES_MAX: u64 = 8 << 20;
-/// Files that are kept besides the one that is written.
+/// Number of files that are kept besides the current one.
 const FILES_KEPT: usize = 9;
-/// Refusals that get a line; the others are counted in the next one.
+/// Rate of refusals that get a line; the others are counted in the next one.
 const REFUSAL_LINES: Rate = Rate { per_second: 0.2, burst: 20.0 };
 
-/// One line.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// One line of the audit log.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AuditLine {
     /// When, CLOCK_REALTIME (UTC), ns since 1970.
     pub host_time_ns: u64,
-    /// The node that was asked.
+    /// The node that received the request.
     pub node: String,
     /// Who: a token's name, `uid N`, or an address.
     pub who: String,
     /// Their role, once they showed who they are.
     pub role: Option<Role>,
     /// How they showed it: `socket`, `token`, `cookie` or `nothing`.
-    pub via: Option<String>,
+    pub via: Option<Via>,
     /// From where: an address, or `uid N` of the Unix socket.
     pub from: String,
-    /// What was asked for, such as `POST /api/v1/session/start`.
+    /// Method and path, such as `POST /api/v1/session/start`.
     pub what: String,
-    /// What was asked for in it, without secrets.
+    /// The body of the request, without secrets.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request: Option<serde_json::Value>,
     /// The session that it concerned, in hexadecimal.
     pub session_id: Option<String>,
-    /// Its name.
     pub session: Option<String>,
     /// Triggers that had been reported when it was answered.
     pub trigger: Option<u64>,
-    /// The answer's HTTP status.
     pub status: u16,
     /// Refusals since the last line that got none of their own.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub unlisted: u64,
 }
 
-fn is_zero(n: &u64) -> bool {
-    *n == 0
-}
-
-/// The log's end that requests see.
+/// The part of the log that requests use: it sends lines to the thread that writes.
 pub struct Audit {
     node: String,
     lines: SyncSender<(AuditLine, Option<oneshot::Sender<()>>)>,
@@ -117,7 +111,7 @@ impl Audit {
         }
     }
 
-    /// A line for something that no request asked for, such as a signal; does not wait.
+    /// A line for an event without a request, such as a signal; does not wait.
     pub fn event(&self, what: &str, session: Option<&SessionStatus>) {
         let mut line = self.line("fourdbody", "this process", what.to_owned());
         line.concerns(session);
@@ -125,44 +119,24 @@ impl Audit {
     }
 
     /// Notes a refusal; every one counts, some get a line.
-    pub(super) fn refused(
-        &self,
-        link: &Link,
-        caller: Option<&Caller>,
-        method: &Method,
-        wanted: &str,
-        status: StatusCode,
-    ) {
-        // One bucket for all: whoever floods it must not fill the disk from many addresses.
+    pub(super) fn refused(&self, link: &Link, caller: Option<&Caller>, what: &str, status: StatusCode) {
+        // One bucket for all: a flood must not fill the disk from many addresses.
         if self.refusals.take(Key::User(0), Instant::now()).is_err() {
             self.unlisted.fetch_add(1, Ordering::Relaxed);
             return;
         }
         let from = from_text(link);
         let who = caller.map_or(from.as_str(), |caller| caller.name.as_str());
-        let wanted: String = wanted.chars().take(100).collect();
-        let mut line = self.line(who, &from, format!("{method} {wanted}"));
+        let mut line = self.line(who, &from, what.chars().take(100).collect());
         line.role = caller.map(|caller| caller.role);
         line.status = status.as_u16();
         self.send(line, None);
     }
 
     fn line(&self, who: &str, from: &str, what: String) -> AuditLine {
-        AuditLine {
-            host_time_ns: host_time_ns(),
-            node: self.node.clone(),
-            who: who.to_owned(),
-            role: None,
-            via: None,
-            from: from.to_owned(),
-            what,
-            request: None,
-            session_id: None,
-            session: None,
-            trigger: None,
-            status: 0,
-            unlisted: self.unlisted.swap(0, Ordering::Relaxed),
-        }
+        let unlisted = self.unlisted.swap(0, Ordering::Relaxed);
+        let (node, who, from) = (self.node.clone(), who.to_owned(), from.to_owned());
+        AuditLine { host_time_ns: host_time_ns(), node, who, from, what, unlisted, ..AuditLine::default() }
     }
 
     fn send(&self, line: AuditLine, done: Option<oneshot::Sender<()>>) -> bool {
@@ -177,7 +151,7 @@ impl Audit {
 }
 
 impl AuditLine {
-    /// Says at which trigger of which session something happened.
+    /// Adds session and trigger at which something happened.
     fn concerns(&mut self, session: Option<&SessionStatus>) {
         if let Some(session) = session {
             self.session_id = Some(format!("{:016x}", session.session_id));
@@ -194,24 +168,20 @@ fn from_text(link: &Link) -> String {
     }
 }
 
-fn via_text(via: Via) -> Option<String> {
-    serde_json::to_value(via).ok()?.as_str().map(ToOwned::to_owned)
-}
-
-/// Writes a line for every request that is more than a look, once it is answered.
+/// Writes a line for every request that may change something, once it is answered.
 pub(super) async fn audited(State(shared): State<Shared>, request: Request, next: Next) -> Response {
     let Some(link) = request.extensions().get::<Link>().copied() else { return next.run(request).await };
     if only_looks(request.method()) {
         return next.run(request).await;
     }
     let caller = request.extensions().get::<Caller>().cloned();
-    let what = format!("{} {}", request.method(), request.uri().path());
+    let what = what_of(&request);
     let secret = request.uri().path() == path::LOGIN;
     let sent = request.extensions().get::<Sent>().filter(|_| !secret).cloned();
     // On a task of its own: a client that goes away while it waits takes neither the request nor its line along.
     let work = async move {
         let response = next.run(request).await;
-        // Whoever logs in is known by the answer only.
+        // The caller of a login is known by the answer only.
         let caller = caller.or_else(|| response.extensions().get::<Caller>().cloned());
         write_down(&shared, &link, caller, what, sent, response.status()).await;
         response
@@ -233,60 +203,37 @@ async fn write_down(
     let from = from_text(link);
     if caller.is_none() {
         // A login that failed is a refusal.
-        shared.audit.refused(link, None, &Method::POST, path::LOGIN, status);
+        shared.audit.refused(link, None, &what, status);
         return;
     }
     let mut line = shared.audit.line(caller.as_ref().map_or(&from, |caller| &caller.name), &from, what);
-    (line.role, line.via) = caller.map_or((None, None), |caller| (Some(caller.role), via_text(caller.via)));
+    (line.role, line.via) = caller.map_or((None, None), |caller| (Some(caller.role), Some(caller.via)));
     line.status = status.as_u16();
     line.request = sent.and_then(|sent| serde_json::from_slice(&sent.0).ok());
     let node = shared.status();
-    let asked = line.request.as_ref().and_then(|request| request.get("session_id")?.as_u64());
-    let concerned = node.session.as_ref().filter(|session| match asked {
-        Some(asked) => session.session_id == asked,
+    let requested = line.request.as_ref().and_then(|request| request.get("session_id")?.as_u64());
+    let concerned = node.session.as_ref().filter(|session| match requested {
+        Some(requested) => session.session_id == requested,
         None => node.phase != Phase::Idle,
     });
     line.concerns(concerned);
     // A session that has just been prepared may not be in the status yet.
     let name = line.request.as_ref().and_then(|request| request.get("name")?.as_str());
-    line.session = line.session.or_else(|| asked.and(name).map(|name| name.chars().take(100).collect()));
-    line.session_id = line.session_id.or_else(|| asked.map(|id| format!("{id:016x}")));
+    line.session = line.session.or_else(|| requested.and(name).map(|name| name.chars().take(100).collect()));
+    line.session_id = line.session_id.or_else(|| requested.map(|id| format!("{id:016x}")));
     line.request = line.request.map(shortened);
     shared.audit.record(line).await;
 }
 
-/// A line shall stay a line: of a request that is long, long texts are cut, and of one that is longer yet the beginning is kept.
+/// Of a request that is longer than 4096 bytes, its beginning as text: one request must not fill the log.
 fn shortened(request: serde_json::Value) -> serde_json::Value {
-    const LINE: usize = 4096;
-    const TEXT: usize = 200;
-    let cut = |text: &str, to: usize| {
-        let kept: String = text.chars().take(to).collect();
-        let all = text.chars().count();
-        if kept.len() == text.len() { kept } else { format!("{kept}... ({all} characters)") }
-    };
+    const LONGEST: usize = 4096;
     let whole = request.to_string();
-    if whole.len() <= LINE {
+    if whole.len() <= LONGEST {
         return request;
     }
-    let fields = match request {
-        serde_json::Value::Object(fields) => fields,
-        _ => return serde_json::Value::String(cut(&whole, TEXT)),
-    };
-    let short = fields.into_iter().take(64).map(|(name, value)| {
-        let value = match value {
-            serde_json::Value::String(text) => serde_json::Value::String(cut(&text, TEXT)),
-            value if value.to_string().len() > TEXT => {
-                serde_json::Value::String(cut(&value.to_string(), TEXT))
-            }
-            value => value,
-        };
-        (cut(&name, TEXT), value)
-    });
-    let short = serde_json::Value::Object(short.collect());
-    match short.to_string().len() <= 8 * LINE {
-        true => short,
-        false => serde_json::Value::String(cut(&whole, TEXT)),
-    }
+    let kept: String = whole.chars().take(LONGEST).collect();
+    format!("{kept}... ({} characters)", whole.chars().count()).into()
 }
 
 struct Log {
@@ -309,7 +256,7 @@ impl Log {
                 self.open = None;
             }
             self.note(log_result(result, &self.path));
-            // Nobody may be waiting any more.
+            // The request may have given up waiting.
             for done in lines.into_iter().filter_map(|(_, done)| done) {
                 let _ = done.send(());
             }
@@ -327,17 +274,14 @@ impl Log {
     }
 
     fn open_file(&mut self) -> io::Result<&mut (File, u64)> {
-        match &mut self.open {
-            Some(_) => {}
-            none => {
-                if let Some(dir) = self.path.parent() {
-                    // As recordings make it: they are nobody else's business either.
-                    std::fs::DirBuilder::new().recursive(true).mode(0o750).create(dir)?;
-                }
-                let file = regular::append(&self.path, 0o640)?;
-                let size = file.metadata()?.len();
-                *none = Some((file, size));
+        if self.open.is_none() {
+            if let Some(dir) = self.path.parent() {
+                // With the mode of the recordings' directories.
+                std::fs::DirBuilder::new().recursive(true).mode(0o750).create(dir)?;
             }
+            let file = regular::append(&self.path, 0o640)?;
+            let size = file.metadata()?.len();
+            self.open = Some((file, size));
         }
         self.open.as_mut().ok_or_else(|| io::Error::other("not open"))
     }
@@ -422,13 +366,10 @@ mod tests {
     fn of_a_long_request_the_beginning_is_kept() {
         let short = serde_json::json!({ "session_id": 7, "note": "n" });
         assert_eq!(super::shortened(short.clone()), short);
-        let long = super::shortened(serde_json::json!({ "session_id": 7, "note": "n".repeat(60_000) }));
-        assert_eq!(long["session_id"], 7);
-        assert!(long["note"].as_str().is_some_and(|note| note.ends_with("(60000 characters)")), "{long}");
-        for wild in [serde_json::json!(vec![1; 30_000]), serde_json::json!({ "a": { "b": vec![1; 30_000] } })]
-        {
-            assert!(super::shortened(wild).to_string().len() < 1000);
-        }
+        let long = serde_json::json!({ "session_id": 7, "note": "n".repeat(60_000) });
+        let (length, kept) = (long.to_string().len(), super::shortened(long).to_string());
+        assert!(kept.contains("nnn... (") && kept.contains(&format!("({length} characters)")), "{kept}");
+        assert!(kept.len() < 4200);
     }
 
     #[test]

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who asks, and whether they may: tokens, browser sessions, users of the Unix socket.
+//! Authentication and authorization: tokens, browser sessions, users of the Unix socket.
 
 use super::Shared;
 use super::connections::Standing;
@@ -8,11 +8,12 @@ use super::limits::{self, Buckets, Key};
 use super::logins::Logins;
 use super::refusal::Refusal;
 use super::transport::Link;
+use crate::base::Fault;
 use crate::config::ApiConfig;
-use crate::control::proof::{self, Asked};
+use crate::control::proof::{self, ProvenRequest};
 pub use crate::control::status::Via;
 use crate::control::status::path;
-use crate::control::tokens::{Role, TokenError, TokenList};
+use crate::control::tokens::{Role, TokenList};
 use axum::extract::{FromRequestParts, Request, State};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
@@ -23,14 +24,12 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Whoever sent a request; a request that reaches a handler carries it as an extension.
+/// The sender of a request; a request that reaches a handler carries it as an extension.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Caller {
     /// The token's name, or `uid N` of the Unix socket, or the address.
     pub name: String,
-    /// What they may do.
     pub role: Role,
-    /// How they showed it.
     pub via: Via,
     /// Whose rate it counts against.
     pub(super) key: Key,
@@ -53,7 +52,7 @@ pub struct Auth {
     refusals: Buckets,
 }
 
-/// The token file is looked at this often: a revoked token works no longer than that.
+/// Time between two looks at the token file: a revoked token works no longer than that.
 const LOOK_INTERVAL: Duration = Duration::from_millis(500);
 
 struct Tokens {
@@ -84,19 +83,18 @@ fn stamp(path: &Path) -> Option<Stamp> {
 
 impl Auth {
     /// Reads the token file, if there is one.
-    pub fn new(config: &ApiConfig) -> Result<Self, TokenError> {
-        let tokens = match &config.tokens {
-            None => None,
-            Some(path) => {
-                let stamp = stamp(path);
-                let list = Arc::new(TokenList::load(path)?);
-                let known = Known { list, problem: None, looked: Instant::now(), stamp };
-                Some(Tokens { path: path.clone(), known: Mutex::new(known) })
-            }
+    pub fn new(config: &ApiConfig) -> Result<Self, Fault> {
+        let load = |path: &PathBuf| {
+            let stamp = stamp(path);
+            let list = TokenList::load(path)
+                .map_err(|fault| Fault { message: format!("api.tokens: {}", fault.message), ..fault })?;
+            let known = Known { list: Arc::new(list), problem: None, looked: Instant::now(), stamp };
+            Ok::<_, Fault>(Tokens { path: path.clone(), known: Mutex::new(known) })
         };
+        let tokens = config.tokens.as_ref().map(load).transpose()?;
         Ok(Self {
             tokens,
-            logins: Logins::new(),
+            logins: Logins::default(),
             // SAFETY: it only reads the process's user id.
             own_uid: unsafe { libc::geteuid() },
             requests: Buckets::new(limits::REQUESTS),
@@ -109,20 +107,20 @@ impl Auth {
         self.tokens.is_some()
     }
 
-    /// Why the token file cannot be used now; then nobody gets in by a token.
+    /// Why the token file cannot be used now; then every token is refused.
     pub fn warning(&self) -> Option<String> {
         let tokens = self.tokens.as_ref()?;
         tokens.current();
         tokens.known.lock().unwrap_or_else(PoisonError::into_inner).problem.clone()
     }
 
-    /// Who bears this secret.
+    /// Name and role of the token with this secret.
     pub(super) fn bearer(&self, secret: &str) -> Option<(String, Role)> {
         let list = self.tokens.as_ref()?.current();
         list.bearer(secret).map(|token| (token.name.clone(), token.role))
     }
 
-    /// Counts a refusal; or says that there were too many.
+    /// Counts a refusal; the answer is another one where there were too many.
     pub(super) fn refused(&self, link: &Link) -> Refusal {
         match self.refusals.take(link.key(), Instant::now()) {
             Ok(()) => unauthenticated(),
@@ -130,24 +128,24 @@ impl Auth {
         }
     }
 
-    /// The same for a login, in the words of somebody who has typed a token.
+    /// The same for a login, in words for a person who has typed a token.
     pub(super) fn refused_login(&self, link: &Link) -> Refusal {
         let refusal = self.refused(link);
         if refusal.status != StatusCode::UNAUTHORIZED {
             return refusal;
         }
-        let message = "this node does not know the token: see that all of it was copied, and that it is one of this node; \
-                       whoever runs the node makes another with `fourdbody token new`";
+        let message = "this node does not know the token: check that all of it was copied, and that it belongs to this \
+                       node. Your administrator can make another one with `fourdbody token new`";
         Refusal::new(StatusCode::UNAUTHORIZED, message)
     }
 
-    /// Who asks, and what proves to them that this node knows their token, where they showed it by a proof.
+    /// The caller; and the answer to their proof, by which this node shows that it knows their token.
     fn identify(&self, link: &Link, request: &Request, cookie: &str) -> Option<(Caller, Option<String>)> {
         let headers = request.headers();
         if let (Some(tokens), Some(proof)) = (&self.tokens, proof_of(headers)) {
             let standing = request.extensions().get::<Standing>()?;
             let body = request.extensions().get::<Sent>().map_or(&[][..], |sent| &sent.0);
-            let asked = Asked {
+            let proven = ProvenRequest {
                 authority: headers.get(header::HOST)?.to_str().ok()?,
                 nonce: &standing.nonce,
                 method: request.method().as_str(),
@@ -155,10 +153,10 @@ impl Auth {
                 body,
             };
             let list = tokens.current();
-            let shown = list.0.iter().find(|token| asked.secret_of(proof, &token.hash).is_some())?;
+            let shown = list.0.iter().find(|token| proven.secret_of(proof, &token.hash).is_some())?;
             let (name, role) = (shown.name.clone(), shown.role);
             let caller = Caller { key: Key::Token(name.clone()), name, role, via: Via::Token };
-            return Some((caller, Some(asked.answer(&shown.hash))));
+            return Some((caller, Some(proven.answer(&shown.hash))));
         }
         Some((self.identify_plainly(link, headers, cookie)?, None))
     }
@@ -166,7 +164,7 @@ impl Auth {
     fn identify_plainly(&self, link: &Link, headers: &HeaderMap, cookie: &str) -> Option<Caller> {
         let token = |name: String, role, via| Caller { key: Key::Token(name.clone()), name, role, via };
         if let Some(tokens) = &self.tokens {
-            // Whoever shows a token is judged by it, wherever they come from.
+            // A request with a token is judged by it, wherever it comes from.
             if let Some(shown) = headers.get(header::AUTHORIZATION) {
                 let secret = shown.to_str().ok().and_then(|text| text.strip_prefix("Bearer "))?;
                 let (name, role) = self.bearer(secret.trim())?;
@@ -195,7 +193,8 @@ impl Auth {
 }
 
 impl Tokens {
-    /// The list, read again when the file has changed. One that cannot be read is no list: nobody gets in.
+    /// The list, read again when the file has changed. A file that cannot be read is an empty list: every token is
+    /// refused.
     fn current(&self) -> Arc<TokenList> {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         if known.looked.elapsed() < LOOK_INTERVAL {
@@ -209,8 +208,8 @@ impl Tokens {
                     tracing::info!(tokens = list.0.len(), "the token file was read again");
                     (known.list, known.problem) = (Arc::new(list), None);
                 }
-                Err(error) => {
-                    let problem = format!("api.tokens: {error}; nobody gets in by a token");
+                Err(fault) => {
+                    let problem = format!("api.tokens: {}; every token is refused", fault.message);
                     if known.problem.as_ref() != Some(&problem) {
                         tracing::warn!("{problem}");
                     }
@@ -235,28 +234,33 @@ pub(super) fn cookie_of<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a st
 }
 
 fn unauthenticated() -> Refusal {
-    let message = "expected `Authorization: Bearer TOKEN` with a token of this node (see `fourdbody token --help`), or a login";
+    let message = "expected a login, or `Authorization: Bearer TOKEN` with a token of this node; \
+                   see `fourdbody token --help`";
     Refusal::new(StatusCode::UNAUTHORIZED, message)
 }
 
-/// Whether a request only looks.
+/// Method and path of a request, for the audit log.
+pub(super) fn what_of(request: &Request) -> String {
+    format!("{} {}", request.method(), request.uri().path())
+}
+
+/// Whether a request only reads.
 pub(super) fn only_looks(method: &Method) -> bool {
     matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS)
 }
 
-/// What anybody may ask for: the console's page, and to log in. Everything else below `/api/` is closed.
+/// What needs no token: the console's page, and a login. Everything else below `/api/` is closed.
 fn is_open(request: &Request) -> bool {
     let wanted = request.uri().path();
     wanted == path::LOGIN || (!wanted.starts_with("/api/") && only_looks(request.method()))
 }
 
-/// Every request passes through here: looking takes [`Role::View`], everything else [`Role::Operate`], unless a
-/// route asks for more by [`admin_only`].
+/// Every request passes through here: reading takes [`Role::View`], everything else [`Role::Operate`].
 pub(super) async fn authenticate(State(shared): State<Shared>, mut request: Request, next: Next) -> Response {
     let Some(link) = request.extensions().get::<Link>().copied() else {
         return unauthenticated().into_response();
     };
-    // Not counted: whoever floods it from an address must not keep others there from showing who they are.
+    // Not counted: a flood from an address must not keep other clients there from authenticating.
     if request.uri().path() == path::CHALLENGE {
         return next.run(request).await;
     }
@@ -267,7 +271,7 @@ pub(super) async fn authenticate(State(shared): State<Shared>, mut request: Requ
         };
     }
     let Some((caller, answer)) = shared.auth.identify(&link, &request, &shared.cookie) else {
-        shared.audit.refused(&link, None, request.method(), request.uri().path(), StatusCode::UNAUTHORIZED);
+        shared.audit.refused(&link, None, &what_of(&request), StatusCode::UNAUTHORIZED);
         return shared.auth.refused(&link).into_response();
     };
     if let Err(wait) = shared.auth.requests.take(caller.key.clone(), Instant::now()) {
@@ -279,13 +283,7 @@ pub(super) async fn authenticate(State(shared): State<Shared>, mut request: Requ
     }
     let needed = if only_looks(request.method()) { Role::View } else { Role::Operate };
     if !caller.role.may(needed) && request.uri().path() != path::LOGOUT {
-        shared.audit.refused(
-            &link,
-            Some(&caller),
-            request.method(),
-            request.uri().path(),
-            StatusCode::FORBIDDEN,
-        );
+        shared.audit.refused(&link, Some(&caller), &what_of(&request), StatusCode::FORBIDDEN);
         return forbidden(&caller, needed).into_response();
     }
     request.extensions_mut().insert(caller);
@@ -294,15 +292,6 @@ pub(super) async fn authenticate(State(shared): State<Shared>, mut request: Requ
         response.headers_mut().insert(proof::HEADER, answer);
     }
     response
-}
-
-/// A layer of routes that only an administrator may use.
-pub async fn admin_only(caller: Caller, request: Request, next: Next) -> Response {
-    if caller.role.may(Role::Admin) {
-        next.run(request).await
-    } else {
-        forbidden(&caller, Role::Admin).into_response()
-    }
 }
 
 fn forbidden(caller: &Caller, needed: Role) -> Refusal {

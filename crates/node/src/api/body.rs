@@ -11,8 +11,8 @@ use axum::http::StatusCode;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-/// A request's body, read from JSON: an object, as is whatever has fields in it. Types that are read like this deny unknown
-/// fields; nesting is bounded by `serde_json` (128 levels).
+/// A request's body, read from JSON: an object, as is whatever has fields in it. Types that are read like this deny
+/// unknown fields; nesting is bounded by `serde_json` (128 levels).
 pub struct Body<T>(pub T);
 
 impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Body<T> {
@@ -33,7 +33,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Body<T> {
     }
 }
 
-/// The body of a request that has nothing to say: none, or an object without fields.
+/// The body of a request without arguments: none, or an object without fields.
 pub struct NoBody;
 
 #[derive(Deserialize)]

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Who may hold connections, and how many.
 //!
-//! A connection begins as a stranger's. Strangers have a share of their own: a new one is always let in, and closes the
-//! oldest of the address that has most of them. The first request that shows who asks moves the connection to the known
-//! ones. So idle connections keep nobody out who has a token, however many they are.
+//! A connection begins as a stranger's. Strangers have a share of their own: a new one is always accepted, and closes
+//! the oldest of the address that has most of them. The first request with a valid token moves the connection to the
+//! known ones. So idle connections, however many, keep no client out that has a token.
 
 use super::limits::{
     CONNECTIONS_MAX, CONNECTIONS_OF_ONE_MAX, Key, LOOKERS_MAX, STRANGERS_MAX, STRANGERS_OF_ONE_MAX,
@@ -13,7 +13,7 @@ use std::io;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{Notify, watch};
 
-/// All connections.
+/// All open connections of the server.
 #[derive(Clone)]
 pub struct Connections {
     book: Arc<Mutex<Book>>,
@@ -30,7 +30,7 @@ struct Book {
 
 struct Entry {
     key: Key,
-    /// Who has shown who they are, and whether they may only look.
+    /// The caller, once authenticated, and whether they may only read.
     known: Option<(Key, bool)>,
     evicted: Arc<Notify>,
 }
@@ -48,19 +48,19 @@ pub struct Admitted {
 pub struct Standing {
     number: u64,
     connections: Connections,
-    /// Random, and of this connection alone: what a proof of a token is made for.
+    /// A random number of this connection alone, for which a proof of a token is made.
     pub nonce: Arc<str>,
 }
 
 impl Default for Connections {
-    /// None yet.
+    /// No connection is open yet.
     fn default() -> Self {
         Self { book: Arc::default(), open: watch::Sender::new(0) }
     }
 }
 
 impl Connections {
-    /// Lets in a client of whom no more is known than its address.
+    /// Lets in a client of whom only the address is known: the oldest of those makes room for it.
     ///
     /// # Errors
     /// The system gives no random numbers.
@@ -134,7 +134,7 @@ impl Admitted {
         self.evicted.notified().await;
     }
 
-    /// What its requests are told.
+    /// The view of the connection that its requests receive.
     pub fn standing(&self) -> Standing {
         let (number, connections) = (self.number, self.connections.clone());
         Standing { number, connections, nonce: Arc::clone(&self.nonce) }
@@ -149,7 +149,7 @@ impl Drop for Admitted {
 }
 
 impl Standing {
-    /// A request showed whose connection this is. False when they have too many: the request is refused.
+    /// A request authenticated the owner of this connection. False when they have too many: the request is refused.
     pub fn is_of(&self, caller: &Key, looks: bool) -> bool {
         let mut book = self.connections.book();
         if book.entries.get(&self.number).is_some_and(|entry| entry.known.is_some()) {

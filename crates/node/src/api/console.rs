@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The console: a page for the dark room and what belongs to it, served from the program itself, so that it works without
-//! any network but the laboratory's.
+//! The console: a page for the dark room and what belongs to it, served from the program itself, so that it works
+//! without any network but the laboratory's.
 
 use super::Shared;
 use axum::Router;
@@ -20,7 +20,7 @@ macro_rules! served {
     };
 }
 
-/// The files of `web/`, with where they are served and as what.
+/// The files of `web/` with their paths and content types.
 const FILES: [(&str, &str, &str); 29] = served![
     HTML "play.html",
     HTML "subject.html",
@@ -52,10 +52,10 @@ const FILES: [(&str, &str, &str); 29] = served![
     SCRIPT "verdict.js",
     ICON "icon.svg",
 ];
-/// What is there when nothing is named.
+/// The page at the path `/`.
 const PAGE: (&str, &str, &str) = ("/", HTML, include_str!("../../../../web/index.html"));
 
-/// Their routes.
+/// The routes of all these files.
 pub(super) fn pages() -> Router<Shared> {
     FILES.into_iter().chain([PAGE]).fold(Router::new(), |router, (path, kind, text)| {
         let answer = move || async move { file(kind, text) };

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What every request must be before anybody looks at who sent it: for this node (DNS rebinding), from one of its own
-//! pages or from no page at all (CSRF), small, and sent in one go.
+//! The checks of every request before its sender is authenticated: it is for this node (DNS rebinding), from one of
+//! its own pages or from no page at all (CSRF), small, and sent in one go.
 
-use super::auth::{cookie_of, only_looks};
+use super::auth::{cookie_of, only_looks, what_of};
 use super::refusal::Refusal;
 use super::transport::Link;
 use super::{Shared, limits};
@@ -63,7 +63,7 @@ fn split(authority: &str) -> Option<(&str, Option<u16>)> {
     (!name.is_empty() && name.chars().all(plain)).then_some((name, port))
 }
 
-/// A request's body as it came, for those who come before the handler.
+/// The whole body of a request, for the layers before the handler.
 #[derive(Clone)]
 pub(super) struct Sent(pub(super) Bytes);
 
@@ -87,7 +87,7 @@ fn is_json(response: &Response) -> bool {
     kind.is_some_and(|kind| kind.starts_with("application/json"))
 }
 
-/// What axum refuses by itself (a path's part, a query) is said in the same way as everything else.
+/// What axum refuses by itself (a path's part, a query) is answered in the same form as everything else.
 async fn as_fault(response: Response) -> Response {
     const TEXT_BYTES_MAX: usize = 4096;
     let status = response.status();
@@ -96,11 +96,13 @@ async fn as_fault(response: Response) -> Response {
     Refusal::new(status, if text.is_empty() { status.to_string() } else { text.into_owned() }).into_response()
 }
 
-/// On every answer. The console is served from the node alone: scripts, styles, images and connections are its own.
+/// Headers of every answer. The console is served by the node alone: scripts, styles, images and connections are its
+/// own.
 const HEADERS: [(HeaderName, &str); 6] = [
     (
         header::CONTENT_SECURITY_POLICY,
-        "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'",
+        "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; form-action 'self'; \
+         frame-ancestors 'none'",
     ),
     (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
     (header::X_FRAME_OPTIONS, "DENY"),
@@ -115,7 +117,7 @@ async fn admit(shared: &Shared, request: Request) -> Result<Request, Refusal> {
     let checked =
         check_host(&shared.names, &link, &request).and_then(|()| check_origin(shared, &link, &request));
     checked.inspect_err(|refusal| {
-        shared.audit.refused(&link, None, request.method(), request.uri().path(), refusal.status);
+        shared.audit.refused(&link, None, &what_of(&request), refusal.status);
     })?;
     if only_looks(request.method()) {
         return Ok(request);
@@ -140,13 +142,13 @@ fn check_host(names: &Names, link: &Link, request: &Request) -> Result<(), Refus
         return Ok(());
     }
     let message = format!(
-        "expected this node's name or address as Host, found {:?}; names other than its address go into api.hosts of the node file",
+        "expected this node's name or address as Host, found {:?}; other names go into api.hosts of the node file",
         host.unwrap_or("none")
     );
     Err(Refusal::new(StatusCode::MISDIRECTED_REQUEST, message))
 }
 
-/// A page of somebody else's must neither change nor read anything.
+/// A page of another site must neither change nor read anything.
 fn check_origin(shared: &Shared, link: &Link, request: &Request) -> Result<(), Refusal> {
     let headers = request.headers();
     let refused = |message: String| Err(Refusal::new(StatusCode::FORBIDDEN, message));
@@ -155,7 +157,7 @@ fn check_origin(shared: &Shared, link: &Link, request: &Request) -> Result<(), R
     if let Some(origin) = text(&header::ORIGIN) {
         let authority = origin.split_once("://").filter(|(scheme, _)| matches!(*scheme, "http" | "https"));
         let ours = authority.is_some_and(|(_, authority)| shared.names.are(authority));
-        // An origin of ours is the one that was asked: two names of a node are two origins.
+        // An origin of ours equals the Host of the request: two names of a node are two origins.
         let same = text(&header::HOST)
             .is_some_and(|host| authority.is_some_and(|(_, a)| a.eq_ignore_ascii_case(host)));
         if origins.len() > 1 || !ours || !same || matches!(link, Link::Unix { .. }) {
@@ -199,14 +201,8 @@ async fn read_body(headers: &HeaderMap, body: Body) -> Result<Bytes, Refusal> {
 }
 
 fn is_limit(error: &axum::Error) -> bool {
-    let mut cause: Option<&dyn std::error::Error> = Some(error);
-    while let Some(error) = cause {
-        if error.is::<http_body_util::LengthLimitError>() {
-            return true;
-        }
-        cause = error.source();
-    }
-    false
+    let mut causes = std::iter::successors(Some(error as &dyn std::error::Error), |error| error.source());
+    causes.any(|error| error.is::<http_body_util::LengthLimitError>())
 }
 
 #[cfg(test)]

@@ -1,39 +1,39 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How much one client, and all of them, may ask for.
+//! Limits for one client, and for all of them together.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv6Addr};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// The whole head of a request must be there after this long.
+/// Time within which the whole head of a request must arrive.
 pub const HEADER: Duration = Duration::from_secs(5);
-/// And its whole body after this long.
+/// Time within which the whole body of a request must arrive.
 pub const BODY: Duration = Duration::from_secs(5);
-/// A client that reads nothing for so long is given up.
+/// A client that reads nothing for this time is disconnected.
 pub const STALL: Duration = Duration::from_secs(5);
-/// Bytes of a request's body.
+/// Largest body of a request, bytes.
 pub const BODY_BYTES_MAX: usize = 64 << 10;
-/// Bytes of a request's head.
+/// Largest head of a request, bytes.
 pub const HEADER_BYTES_MAX: usize = 32 << 10;
-/// Header lines of a request.
+/// Most header lines of a request.
 pub const HEADERS_MAX: usize = 64;
-/// Connections of all callers that have shown who they are, at the same time.
+/// Most connections of all authenticated callers at the same time.
 pub const CONNECTIONS_MAX: usize = 128;
-/// Connections of one caller at the same time.
+/// Most connections of one caller at the same time.
 pub const CONNECTIONS_OF_ONE_MAX: usize = 48;
-/// Connections of all callers that may only look: the rest is for those who run sessions.
+/// Most connections of all callers with the role `view`: the rest is for those who run sessions.
 pub const LOOKERS_MAX: usize = 64;
-/// Connections whose client has not shown who it is; a new one closes the oldest of the address that has most.
+/// Most connections whose client has not authenticated; a new one closes the oldest of the address that has most.
 pub const STRANGERS_MAX: usize = 64;
-/// The same of one address.
+/// Most connections of one address whose client has not authenticated.
 pub const STRANGERS_OF_ONE_MAX: usize = 32;
 /// Requests of one caller: how many a second, and how many at once after a pause.
 pub const REQUESTS: Rate = Rate { per_second: 200.0, burst: 400.0 };
-/// Requests of one client that were refused for want of authentication, before it is told to come back later.
+/// Requests of one client that fail to authenticate, before it gets the answer to come back later.
 pub const REFUSALS: Rate = Rate { per_second: 1.0, burst: 20.0 };
 
-/// Who is counted.
+/// The client that a request counts against.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Key {
     /// A user of this machine.
@@ -57,28 +57,28 @@ impl Key {
 /// A rate with a burst.
 #[derive(Debug, Clone, Copy)]
 pub struct Rate {
-    /// In the long run.
+    /// Requests a second in the long run.
     pub per_second: f64,
-    /// After a pause.
+    /// Requests that are allowed at once after a pause.
     pub burst: f64,
 }
 
-/// Counts what many clients ask for, each against the same rate.
+/// Counts the requests of many clients, each against the same rate.
 pub struct Buckets {
     rate: Rate,
     left: Mutex<HashMap<Key, (f64, Instant)>>,
 }
 
-/// Clients that are counted at the same time; beyond, those who have asked for nothing lately are forgotten.
+/// Clients that are counted at the same time; beyond, those without recent requests are forgotten.
 const CLIENTS_MAX: usize = 1024;
 
 impl Buckets {
-    /// Nothing counted yet.
+    /// Counters at this rate, with no request counted yet.
     pub fn new(rate: Rate) -> Self {
         Self { rate, left: Mutex::default() }
     }
 
-    /// Counts a request at `now`; or says how long to wait.
+    /// Counts a request at `now`; or returns how long to wait.
     pub fn take(&self, key: Key, now: Instant) -> Result<(), Duration> {
         let Rate { per_second, burst } = self.rate;
         let filled = |(left, since): &(f64, Instant)| {
@@ -94,7 +94,8 @@ impl Buckets {
         let bucket = left.entry(key).or_insert((burst, now));
         *bucket = (filled(bucket), now);
         if bucket.0 < 1.0 {
-            // What is missing may be less than a nanosecond's worth: to wait for nothing would be to ask again at once.
+            // The missing part may be worth less than a nanosecond: a wait of zero would make the client try again at
+            // once.
             let wait = Duration::from_secs_f64((1.0 - bucket.0) / per_second);
             return Err(wait.max(Duration::from_millis(1)));
         }

@@ -1,47 +1,36 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The list of a node's recordings, kept in memory: to look at it costs a recording under way no frame.
+//! The list of a node's recordings, kept in memory: reading it costs a recording under way no frame.
 //!
-//! One thread, which runs when nobody else wants the processor, looks at the disk. It reads a recording when it is new
-//! or has changed, and never for whoever asks. Requests wait in a queue of a stated length; those that came meanwhile are
-//! answered by one look.
+//! One thread at idle priority reads the disk. It reads a recording when it is new or has changed, and never for a
+//! single request. Requests wait in a queue of a stated length; those that wait together are answered by one look.
 
 use crate::base::ids::NodeId;
+use crate::base::{Exit, Fault};
 use crate::capture::numbering::free_in;
 use crate::record::catalogue::{CatalogueEntry, entry};
 use crate::record::node_dir;
 use crate::record::remark::Remark;
-use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use crossbeam_channel::{Receiver, Sender, bounded};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
 use tokio::sync::oneshot;
 
-/// Recordings that are kept in mind: the newest ones.
+/// Number of recordings that are kept in memory: the newest ones.
 pub const LISTED_MAX: usize = 1000;
-/// Requests that wait.
+/// Requests that may wait for the thread; a further one is refused.
 const WAITING_MAX: usize = 64;
-/// Between two looks at the disk.
+/// Least time between two looks at the disk.
 const PAUSE: Duration = Duration::from_millis(250);
 
-/// JSON of a list of [`CatalogueEntry`], or of one; `None` where there is none.
-pub type Told = Option<String>;
+/// A request, which sends its own answer: the client may be gone.
+type Request = Box<dyn FnOnce(&Index) + Send>;
 
-enum Ask {
-    Newest(usize, String, oneshot::Sender<Told>),
-    One(String, oneshot::Sender<Told>),
-    Free(String, oneshot::Sender<Result<String, String>>),
-}
-
-/// Asks the thread; it ends when the last of these is dropped.
+/// Sends requests to the thread, which ends when the last of these is dropped.
 #[derive(Clone)]
 pub struct Listing {
-    asks: Sender<Ask>,
+    requests: Sender<Request>,
 }
-
-/// Why there is no answer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("too many ask for the recordings at the same time; try again")]
-pub struct Busy;
 
 impl Listing {
     /// Starts the thread, which begins with a look at everything.
@@ -49,52 +38,58 @@ impl Listing {
     /// # Errors
     /// The system gives no thread.
     pub fn start(sessions_dir: PathBuf, node: NodeId) -> std::io::Result<Self> {
-        let (asks, inbox) = bounded(WAITING_MAX);
+        let (requests, inbox) = bounded(WAITING_MAX);
         let mut index = Index { sessions_dir, node, known: BTreeMap::new() };
         std::thread::Builder::new().name("listing".to_owned()).spawn(move || index.run(&inbox))?;
-        Ok(Self { asks })
+        Ok(Self { requests })
     }
 
-    /// The newest so many recordings, newest first; those that have this text in name, subject or notes.
+    /// The newest recordings that have this text in name, subject or notes, newest first: a JSON list of at most
+    /// `limit` [`CatalogueEntry`].
     ///
     /// # Errors
-    /// Too many ask.
-    pub async fn newest(&self, limit: usize, search: &str) -> Result<Told, Busy> {
-        self.ask(|reply| Ask::Newest(limit, search.to_lowercase(), reply)).await
+    /// Too many requests wait.
+    pub async fn newest(&self, limit: usize, search: &str) -> Result<String, Fault> {
+        let search = search.to_lowercase();
+        self.ask(move |index| index.newest(limit, &search)).await
     }
 
     /// The first name from this one on under which nothing is recorded; or what is wrong with it.
     ///
     /// # Errors
-    /// Too many ask.
-    pub async fn free(&self, wanted: String) -> Result<Result<String, String>, Busy> {
-        self.ask(|reply| Ask::Free(wanted, reply)).await
+    /// Too many requests wait.
+    pub async fn free(&self, wanted: String) -> Result<Result<String, String>, Fault> {
+        self.ask(move |index| free_in(&index.sessions_dir, &wanted)).await
     }
 
-    /// The recording of this name.
+    /// The recording of this name as JSON, if there is one.
     ///
     /// # Errors
-    /// Too many ask.
-    pub async fn one(&self, name: String) -> Result<Told, Busy> {
-        self.ask(|reply| Ask::One(name, reply)).await
+    /// Too many requests wait.
+    pub async fn one(&self, name: String) -> Result<Option<String>, Fault> {
+        self.ask(move |index| index.one(&name)).await
     }
 
-    async fn ask<T>(&self, ask: impl FnOnce(oneshot::Sender<T>) -> Ask) -> Result<T, Busy> {
+    async fn ask<T: Send + 'static>(
+        &self,
+        question: impl FnOnce(&Index) -> T + Send + 'static,
+    ) -> Result<T, Fault> {
+        let busy =
+            || Fault::new(Exit::Device, "too many requests for the recordings at the same time; try again");
         let (reply, answer) = oneshot::channel();
-        match self.asks.try_send(ask(reply)) {
-            Ok(()) => answer.await.map_err(|_| Busy),
-            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => Err(Busy),
-        }
+        let request: Request = Box::new(move |index| drop(reply.send(question(index))));
+        self.requests.try_send(request).map_err(|_| busy())?;
+        answer.await.map_err(|_| busy())
     }
 }
 
-/// What changes when a recording does.
+/// What changes when a recording does: compared to read it only once.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Stamp {
     made: SystemTime,
-    /// When somebody last said what they think of it.
+    /// When the remark was last written.
     remarked: Option<SystemTime>,
-    /// Of the files, while it is not closed.
+    /// Size of the files, while the recording is not closed.
     bytes: u64,
     written: Option<SystemTime>,
 }
@@ -111,27 +106,20 @@ struct Known {
 struct Index {
     sessions_dir: PathBuf,
     node: NodeId,
-    /// By session.
+    /// The newest recordings, by the name of their session.
     known: BTreeMap<String, Known>,
 }
 
 impl Index {
-    fn run(&mut self, inbox: &Receiver<Ask>) {
+    fn run(&mut self, inbox: &Receiver<Request>) {
         idle();
         self.look();
         let mut looked = Instant::now();
         while let Ok(first) = inbox.recv() {
             std::thread::sleep(PAUSE.saturating_sub(looked.elapsed()));
-            let asks: Vec<Ask> = std::iter::once(first).chain(inbox.try_iter()).collect();
+            let requests: Vec<Request> = std::iter::once(first).chain(inbox.try_iter()).collect();
             self.look();
-            for ask in asks {
-                // Whoever asked may be gone.
-                match ask {
-                    Ask::Newest(limit, search, reply) => drop(reply.send(Some(self.newest(limit, &search)))),
-                    Ask::One(name, reply) => drop(reply.send(self.one(&name))),
-                    Ask::Free(name, reply) => drop(reply.send(free_in(&self.sessions_dir, &name))),
-                }
-            }
+            requests.into_iter().for_each(|request| request(self));
             looked = Instant::now();
         }
     }
@@ -143,8 +131,8 @@ impl Index {
         format!("[{}]", listed.join(","))
     }
 
-    fn one(&self, name: &str) -> Told {
-        // Those that are too old to be kept in mind are looked at.
+    fn one(&self, name: &str) -> Option<String> {
+        // Older recordings are not kept in memory, and are read.
         let older = || serde_json::to_string(&entry(&self.sessions_dir, &self.node, name)?).ok();
         self.known.get(name).map(|known| known.json.clone()).or_else(older)
     }
@@ -193,7 +181,7 @@ fn stamp(dir: &Path, made: SystemTime, remarked: Option<SystemTime>) -> Stamp {
     Stamp { made, remarked, bytes, written: files.iter().filter_map(|file| file.modified().ok()).max() }
 }
 
-/// From now on this thread has what nobody else wants.
+/// Puts this thread at idle priority.
 fn idle() {
     let parameters = libc::sched_param { sched_priority: 0 };
     // SAFETY: the parameters are valid during the call, and 0 is the calling thread.

@@ -6,9 +6,9 @@ use std::io;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// A login ends after so long, whatever happens.
+/// A login ends after this time in any case: a working day.
 pub const LIFETIME: Duration = Duration::from_secs(12 * 3600);
-/// Logins at the same time; the oldest gives way.
+/// Most logins at the same time; a further one ends the oldest.
 const LOGINS_MAX: usize = 256;
 
 struct Login {
@@ -19,13 +19,10 @@ struct Login {
 }
 
 /// All logins of the node's process.
+#[derive(Default)]
 pub struct Logins(Mutex<Vec<Login>>);
 
 impl Logins {
-    pub(super) fn new() -> Self {
-        Self(Mutex::default())
-    }
-
     /// Begins one for the bearer of a secret; returns the cookie's value.
     pub(super) fn begin(&self, secret: &str) -> io::Result<String> {
         let id = random_text()?;
@@ -49,7 +46,7 @@ impl Logins {
         Some((token.name.clone(), token.role))
     }
 
-    /// Ends one.
+    /// Ends the login with this cookie.
     pub(super) fn end(&self, id: &str) {
         let id = SecretHash::of(id);
         self.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|login| !login.id.is(&id));
@@ -65,7 +62,7 @@ mod tests {
     fn a_login_lives_as_long_as_its_token() {
         let hash = SecretHash::of("secret");
         let tokens = TokenList(vec![Token { name: "anna".to_owned(), role: Role::Operate, hash }]);
-        let logins = Logins::new();
+        let logins = Logins::default();
         let id = logins.begin("secret").expect("randomness");
         assert_eq!(logins.who(&id, &tokens), Some(("anna".to_owned(), Role::Operate)));
         assert_eq!(logins.who(&id[1..], &tokens), None);
@@ -76,7 +73,7 @@ mod tests {
 
     #[test]
     fn logins_are_bounded() {
-        let logins = Logins::new();
+        let logins = Logins::default();
         (0..2 * LOGINS_MAX).for_each(|_| drop(logins.begin("secret")));
         assert_eq!(logins.0.lock().expect("not poisoned").len(), LOGINS_MAX);
     }

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The node's HTTP API: axum on a small tokio runtime; every request becomes a [`Command`] to the node's thread.
 //!
-//! A request passes [`guard`] (is it for this node, from no foreign page, small, complete?), `auth` (who is it, may
-//! they?), `audit` (write down what changes something) and reaches a route. Routes know nothing of all that: what is
-//! not a look needs the role `operate` and is audited, whatever it is. To add routes, write a module below `routes`
-//! with a function `routes() -> OpenApiRouter<Shared>` and merge it in [`api`]; what needs an administrator gets the
-//! layer [`auth::admin_only`]. Pages and their files (outside `/api/`) go into [`pages`]; they are open to everybody.
+//! A request passes [`guard`] (is it for this node, from no foreign page, small, complete?), `auth` (who is the caller,
+//! and may they?), `audit` (a line for each change) and reaches a route. Routes know nothing of all that: every request
+//! but a GET needs the role `operate` and is audited. To add routes, write a module below `routes` with a function
+//! `routes() -> OpenApiRouter<Shared>` and merge it in [`api`]. Pages and their files (outside `/api/`) go into
+//! [`console`]; they need no token.
 
 pub mod audit;
 pub mod auth;
@@ -28,20 +28,18 @@ pub use auth::{Auth, Caller};
 pub use body::Body;
 pub use refusal::Refusal;
 pub use services::Services;
-pub use transport::{Link, Listeners, TransportError};
+pub use transport::{Link, Listeners};
 
 use crate::base::{Exit, Fault};
 use crate::config::{NodeConfig, RigCamera};
 use crate::control::command::{Command, Reply, SharedStatus};
 use crate::control::status::{NodeStatus, WorkerStatus};
 use crate::telemetry::{NodeFacts, Telemetry};
-use crate::worker::state::Activity;
 use axum::Router;
 use axum::http::StatusCode;
 use axum::middleware::from_fn_with_state;
 use crossbeam_channel::{Sender, TrySendError};
 use guard::Names;
-use std::ops::Deref;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use tokio::sync::oneshot;
@@ -52,7 +50,6 @@ pub type OutcomeRead = Arc<AtomicU64>;
 
 /// What the server knows of the node whose API it is.
 pub struct NodeHandle {
-    /// Where commands go.
     pub commands: Sender<Command>,
     /// What the node's thread publishes.
     pub status: SharedStatus,
@@ -62,13 +59,12 @@ pub struct NodeHandle {
     pub telemetry: Arc<Telemetry>,
 }
 
-/// What all requests share.
+/// What all requests share: the node's handle, its configuration, who may do what, and the services. Made once at the
+/// start of the server.
 pub struct State {
-    /// The node.
     pub node: NodeHandle,
     /// As it was read at the start.
     pub config: NodeConfig,
-    /// Who may do what.
     pub auth: Auth,
     /// What was done by whom.
     pub audit: Audit,
@@ -79,19 +75,10 @@ pub struct State {
     transport_warnings: Vec<String>,
 }
 
-/// [`State`], for handlers.
-#[derive(Clone)]
-pub struct Shared(Arc<State>);
+/// [`State`], as handlers receive it.
+pub type Shared = Arc<State>;
 
-impl Deref for Shared {
-    type Target = State;
-
-    fn deref(&self) -> &State {
-        &self.0
-    }
-}
-
-impl Shared {
+impl State {
     /// For a node that is reached through `listeners`. Refuses tokens that cannot be read.
     pub fn new(
         config: NodeConfig,
@@ -99,14 +86,14 @@ impl Shared {
         auth: Auth,
         services: Services,
         listeners: &Listeners,
-    ) -> std::io::Result<Self> {
+    ) -> std::io::Result<Shared> {
         let audit = Audit::start(&config.api.audit, config.node.as_str())?;
         let names = Names::new(&config.api);
         // Cookies know no ports: two nodes on one machine must not overwrite each other's.
         let plain: String = config.node.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
         let cookie = format!("fourdbody_{plain}");
         let transport_warnings = listeners.warnings().to_vec();
-        Ok(Self(Arc::new(State { node, config, auth, audit, services, names, cookie, transport_warnings })))
+        Ok(Arc::new(Self { node, config, auth, audit, services, names, cookie, transport_warnings }))
     }
 
     /// The status as last published, with the API's own warnings.
@@ -122,14 +109,14 @@ impl Shared {
         status.warnings.extend(self.audit.warning());
         status.worker = self.services.worker.state().map(|state| WorkerStatus {
             line: state.line(),
-            running: !state.is_stale() && state.activity != Activity::Ended,
+            running: state.is_running(),
             set_aside: state.set_aside,
         });
         status.judgements = self.node.telemetry.judgements(&self.facts(&status));
         status
     }
 
-    /// What telemetry must be told of the node.
+    /// The facts that telemetry needs of the node.
     fn facts(&self, status: &NodeStatus) -> NodeFacts {
         let config = &self.config;
         let bytes = |(_, camera): (_, &RigCamera)| camera.device.width * camera.device.height;
@@ -146,57 +133,45 @@ impl Shared {
     /// Has the node carry a command out; returns when it has, or why it has not.
     pub async fn ask<T>(&self, command: impl FnOnce(Reply<T>) -> Command) -> Result<T, Refusal> {
         let (reply, answer) = oneshot::channel();
-        let busy = |message: &str| Refusal {
+        self.node.commands.try_send(command(reply)).map_err(|error| Refusal {
             status: StatusCode::SERVICE_UNAVAILABLE,
-            fault: Fault::new(Exit::Failure, message),
+            fault: Fault::new(
+                Exit::Failure,
+                match error {
+                    TrySendError::Full(_) => "the node is busy with other commands; try again",
+                    TrySendError::Disconnected(_) => "the node is shutting down",
+                },
+            ),
             retry_after: None,
-        };
-        match self.node.commands.try_send(command(reply)) {
-            Ok(()) => match answer.await {
-                Ok(answer) => answer.map_err(Refusal::from),
-                Err(_) => {
-                    Err(Fault::new(Exit::Failure, "the node dropped the command; look into its log").into())
-                }
-            },
-            Err(TrySendError::Full(_)) => Err(busy("the node is busy with other commands; try again")),
-            Err(TrySendError::Disconnected(_)) => Err(busy("the node is shutting down")),
-        }
+        })?;
+        let dropped = |_| Fault::new(Exit::Failure, "the node dropped the command; see its log");
+        Ok(answer.await.map_err(dropped)??)
     }
 }
 
 /// All routes of the API with their description. Every one lies below `/api/`.
 fn api() -> OpenApiRouter<Shared> {
     OpenApiRouter::with_openapi(openapi::base())
-        .merge(routes::status::routes())
+        .merge(routes::node::routes())
         .merge(routes::session::routes())
-        .merge(routes::devices::routes())
-        .merge(routes::exposure::routes())
-        .merge(routes::health::routes())
-        .merge(routes::metrics::routes())
-        .merge(routes::captures::routes())
-        .merge(routes::live::routes())
-        .merge(routes::previews::routes())
+        .merge(routes::pictures::routes())
         .merge(routes::sessions::routes())
         .merge(routes::play::routes())
         .merge(routes::peers::routes())
         .merge(routes::login::routes())
-        .merge(routes::description::routes())
-}
-
-/// The console's page and what belongs to it: open to everybody, since it is what one logs in with.
-fn pages() -> Router<Shared> {
-    console::pages()
 }
 
 /// The API's description, as JSON for `/api/v1/openapi.json`.
 pub fn description() -> utoipa::openapi::OpenApi {
-    openapi::complete(api().into_openapi())
+    let mut described = api().into_openapi();
+    routes::peers::describe(&mut described);
+    openapi::complete(described)
 }
 
 /// Everything that the node answers, guarded.
 pub fn router(shared: Shared) -> Router {
     let (api, _) = api().split_for_parts();
-    api.merge(pages())
+    api.merge(console::pages())
         .fallback(async || {
             Refusal::new(StatusCode::NOT_FOUND, "there is nothing here; see /api/v1/openapi.json")
         })

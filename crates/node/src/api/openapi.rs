@@ -12,7 +12,8 @@ use utoipa::openapi::{Components, Content, OpenApi, Ref, RefOr, ResponseBuilder}
 #[openapi(
     info(
         title = "fourdbody node",
-        description = "Control of one acquisition PC: health, devices, settings, sessions, metrics. Everything that changes something is written into an audit log. Lengths of time in microseconds unless a name says otherwise.",
+        description = "Control of one acquisition PC: health, devices, settings, sessions, metrics. Every change is \
+            written into an audit log. Durations are in microseconds unless a name states another unit.",
         license(name = "MIT OR Apache-2.0", identifier = "MIT OR Apache-2.0"),
     ),
     components(schemas(Fault))
@@ -24,7 +25,7 @@ pub(super) fn base() -> OpenApi {
     Base::openapi()
 }
 
-/// What holds for every route: how to show who one is, and the answers of those who look at a request before it.
+/// What holds for every route: how to authenticate, and the answers of the layers before it.
 pub(super) fn complete(mut api: OpenApi) -> OpenApi {
     let components = api.components.get_or_insert_with(Components::new);
     let token = Http::new(HttpAuthScheme::Bearer);

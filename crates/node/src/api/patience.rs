@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A stream that gives up on a reader who does not read.
+//! A stream that fails when its reader does not read.
 
 use std::io;
 use std::pin::Pin;
@@ -8,7 +8,7 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep, sleep};
 
-/// A stream on which no write may wait for longer than so long.
+/// A stream on which no write may wait for longer than a fixed time.
 pub(super) struct Patient<S> {
     stream: S,
     patience: Duration,

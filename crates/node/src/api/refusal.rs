@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Requests that are not answered as asked: a status, and the same [`Fault`] as everywhere else as JSON.
+//! Requests that are refused: a status, and the same [`Fault`] as everywhere else as JSON.
 
 use crate::base::{Exit, Fault};
 use axum::Json;
@@ -7,14 +7,13 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use std::time::Duration;
 
-/// Why a request is not answered as asked.
+/// Why a request is refused, and how.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Refusal {
-    /// HTTP status.
     pub status: StatusCode,
     /// What goes over the wire.
     pub fault: Fault,
-    /// When to try again.
+    /// Time after which the client may try again.
     pub retry_after: Option<Duration>,
 }
 
@@ -24,6 +23,11 @@ impl Refusal {
         Self { status, fault: Fault::new(Exit::Usage, message), retry_after: None }
     }
 
+    /// There is nothing of this name here.
+    pub fn not_found(message: impl ToString) -> Self {
+        Self::new(StatusCode::NOT_FOUND, message)
+    }
+
     /// More connections than one caller, or all, may hold.
     pub fn too_many_connections() -> Self {
         let message = "too many connections of this caller, or of all; close some";
@@ -31,13 +35,13 @@ impl Refusal {
         Self { retry_after, ..Self::new(StatusCode::SERVICE_UNAVAILABLE, message) }
     }
 
-    /// Too much was asked for.
+    /// A client sends more requests than it may.
     pub fn too_many(message: impl ToString, wait: Duration) -> Self {
         Self { retry_after: Some(wait), ..Self::new(StatusCode::TOO_MANY_REQUESTS, message) }
     }
 }
 
-/// What the node says to a command, by the exit code that it means on the command line.
+/// The node's answer to a command, by the exit code that it means on the command line.
 impl From<Fault> for Refusal {
     fn from(fault: Fault) -> Self {
         let status = match Exit::from_code(fault.exit) {

@@ -15,12 +15,12 @@ use crate::control::command::{Command, SharedStatus};
 use crate::live::LiveBody;
 use crate::play::desk::Desk;
 use crate::preview::Previews;
-use crate::preview::quick_look::{QuickLooks, Settings};
+use crate::preview::quick_look::QuickLooks;
 use crate::worker::watch::WorkerWatch;
 use crossbeam_channel::Sender;
 use std::sync::Arc;
 
-/// Services of a node.
+/// The services of a node. They start with the server, and their threads end with it.
 pub struct Services {
     /// Captures that this node runs.
     pub coordinator: Coordinator,
@@ -34,24 +34,22 @@ pub struct Services {
     pub quick_looks: QuickLooks,
     /// Frame sets of what was reconstructed.
     pub desk: Desk,
-    /// The other nodes.
     pub peers: Arc<Vec<Peer>>,
     /// The worker of this machine.
     pub worker: WorkerWatch,
-    _watch: Option<PeerWatch>,
+    _watch: PeerWatch,
 }
 
-/// Another node.
+/// Another node of the rig, with a client for it.
 #[derive(Debug, Clone)]
 pub struct Peer {
     /// Its name in the rig.
     pub name: NodeId,
-    /// How to ask it.
     pub client: NodeClient,
 }
 
 impl Services {
-    /// Starts them.
+    /// Starts the services with their threads.
     pub fn start(
         config: &NodeConfig,
         commands: Sender<Command>,
@@ -74,20 +72,9 @@ impl Services {
                 std::iter::once(Box::new(here.clone()) as Box<dyn Participant>).chain(others).collect()
             })
         };
-        let watched: Vec<(NodeId, Box<dyn Participant>)> = peers
-            .iter()
-            .map(|peer| (peer.name.clone(), Box::new(peer.client.clone()) as Box<dyn Participant>))
-            .collect();
-        let watch = match watched.is_empty() {
-            true => None,
-            false => Some(PeerWatch::start(watched, here).map_err(thread)?),
-        };
-        let quick_look = config.quick_look.as_ref().map(|quick_look| Settings {
-            calibration: quick_look.calibration.clone(),
-            sets: quick_look.frame_sets,
-            work_dir: config.sessions_dir.join(".quick-look"),
-        });
-        // What a peer calls another node's camera is none of its own, whatever api.peers call the peer.
+        let watched = peers.iter().map(|peer| (peer.name.clone(), peer.client.clone())).collect();
+        let watch = PeerWatch::start(watched, here).map_err(thread)?;
+        // A peer provides no camera of this node, whatever api.peers call the peer.
         let cameras_of = |node: &NodeId| {
             let cameras = config.rig.cameras_of(node).filter(|_| *node != config.node);
             cameras.map(|(_, camera)| camera.id.clone()).collect()
@@ -103,7 +90,7 @@ impl Services {
             previews: Previews::start(previews).map_err(thread)?,
             listing: Listing::start(config.sessions_dir.clone(), config.node.clone()).map_err(thread)?,
             desk: Desk::start(Arc::clone(&status), config.rig.trigger_rate_hz).map_err(thread)?,
-            quick_looks: QuickLooks::start(quick_look, status).map_err(thread)?,
+            quick_looks: QuickLooks::start(config.quick_look.clone(), status).map_err(thread)?,
             peers,
             worker: WorkerWatch::start(config.worker_results.clone()).map_err(thread)?,
             _watch: watch,

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where requests come in: a Unix socket, and TCP with or without TLS. Connections are counted, and none may dawdle.
+//! Where requests come in: a Unix socket, and TCP with or without TLS. Connections are counted, and slow ones are
+//! closed.
 
 use super::connections::{Connections, Standing};
 use super::limits::{self, Key};
 use super::patience::Patient;
-use crate::base::regular;
+use crate::base::{Exit, Fault, regular};
 use crate::config::{ApiConfig, SocketConfig, TlsConfig};
 use axum::Router;
 use axum::extract::Request;
@@ -31,16 +32,12 @@ use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 /// How a request came in; every request carries it as an extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Link {
-    /// Over the Unix socket.
     Unix {
-        /// The user at the other end, as the kernel says.
+        /// The user at the other end, as the kernel reports it.
         uid: u32,
     },
-    /// Over TCP.
     Tcp {
-        /// The other end.
         from: SocketAddr,
-        /// By TLS.
         encrypted: bool,
     },
 }
@@ -55,30 +52,8 @@ impl Link {
     }
 }
 
-/// Why the node cannot be reached as configured.
-#[derive(Debug, thiserror::Error)]
-pub enum TransportError {
-    /// An address or a socket cannot be had.
-    #[error("cannot listen on {place} ({key}): {source}; is another node running?")]
-    Listen {
-        /// The configuration's key.
-        key: &'static str,
-        /// Where.
-        place: String,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The socket's path or group is not usable.
-    #[error("api.socket {path}: {problem}")]
-    Socket {
-        /// The path.
-        path: PathBuf,
-        /// What is wrong.
-        problem: String,
-    },
-    /// Certificate or key are not usable.
-    #[error("api.tls: {0}")]
-    Tls(String),
+fn usage(message: String) -> Fault {
+    Fault::new(Exit::Usage, message)
 }
 
 struct Socket {
@@ -103,34 +78,35 @@ pub struct Listeners {
     warnings: Vec<String>,
 }
 
-/// A server that ends waits so long for requests under way.
+/// Longest time that a server which ends waits for requests under way.
 const DRAIN: Duration = Duration::from_secs(5);
-/// After an accept that failed (no file descriptors, say) the next one waits.
+/// After a failed accept (for instance without file descriptors) the next one waits.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 const TOO_MANY: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nretry-after: 5\r\nconnection: close\r\ncontent-length: 0\r\n\r\n";
 
 impl Listeners {
-    /// Opens what the configuration says. Needs a runtime.
-    pub async fn bind(config: &ApiConfig) -> Result<Self, TransportError> {
+    /// Opens the configured addresses and sockets. Needs a runtime.
+    pub async fn bind(config: &ApiConfig) -> Result<Self, Fault> {
         let tls = config.tls.as_ref().map(acceptor).transpose()?;
         let unix = config.socket.as_ref().map(bind_socket).transpose()?;
         let tcp = match config.listen {
-            Some(address) => Some(TcpListener::bind(address).await.map_err(|source| {
-                TransportError::Listen { key: "api.listen", place: address.to_string(), source }
+            Some(address) => Some(TcpListener::bind(address).await.map_err(|error| {
+                usage(format!("cannot listen on {address} (api.listen): {error}; is another node running?"))
             })?),
             None => None,
         };
         let mut warnings = Vec::new();
         if let Some(address) = config.listen.filter(|_| config.is_on_network() && config.tls.is_none()) {
             warnings.push(format!(
-                "the API on {address} is not encrypted (api.plain_text_on_network): tokens and images can be read on the network"
+                "the API on {address} is not encrypted (api.plain_text_on_network): tokens and images \
+                 can be read there"
             ));
         }
         Ok(Self { unix, tcp, tls, warnings })
     }
 
-    /// What is dangerous in the way it is configured.
+    /// Warnings about a configuration that is dangerous.
     pub fn warnings(&self) -> &[String] {
         &self.warnings
     }
@@ -146,7 +122,7 @@ impl Listeners {
         }
         let Self { unix, tcp, .. } = self;
         drop((unix, tcp));
-        // Nobody waits any more when no connection is left.
+        // The connections may all be closed already.
         let _ = end.send(true);
         let _ = tokio::time::timeout(DRAIN, server.connections.all_gone()).await;
         Ok(())
@@ -179,7 +155,7 @@ impl Server {
         loop {
             match listener.accept().await {
                 Ok((stream, from)) => {
-                    // Answers are small and somebody waits for them.
+                    // Answers are small, and clients wait for them.
                     let _ = stream.set_nodelay(true);
                     self.take(stream, Link::Tcp { from, encrypted: tls.is_some() }, tls.cloned()).await;
                 }
@@ -272,10 +248,11 @@ async fn converse<S>(
     }
 }
 
-/// Makes the socket under another name with its final mode, then puts it in its place: whoever can connect may.
-fn bind_socket(config: &SocketConfig) -> Result<Socket, TransportError> {
+/// Makes the socket under another name with its final mode, then puts it in its place: every client that can connect
+/// may.
+fn bind_socket(config: &SocketConfig) -> Result<Socket, Fault> {
     let path = &config.path;
-    let failed = |problem: String| TransportError::Socket { path: path.clone(), problem };
+    let failed = |problem: String| usage(format!("api.socket {}: {problem}", path.display()));
     let io_failed = |what: &str| {
         let what = what.to_owned();
         move |e: io::Error| failed(format!("{what}: {e}"))
@@ -288,11 +265,8 @@ fn bind_socket(config: &SocketConfig) -> Result<Socket, TransportError> {
     match lock.try_lock() {
         Ok(()) => {}
         Err(TryLockError::WouldBlock) => {
-            return Err(TransportError::Listen {
-                key: "api.socket",
-                place: path.display().to_string(),
-                source: io::ErrorKind::AddrInUse.into(),
-            });
+            let place = path.display();
+            return Err(usage(format!("cannot listen on {place} (api.socket): another node uses it")));
         }
         Err(TryLockError::Error(error)) => return Err(failed(format!("its lock file: {error}"))),
     }
@@ -335,23 +309,22 @@ fn group_id(name: &str) -> Option<u32> {
     let mut group: libc::group = unsafe { std::mem::zeroed() };
     let mut buffer = vec![0; 64 << 10];
     let mut found = std::ptr::null_mut();
-    // SAFETY: the name ends with NUL, the buffer is as long as said, and all pointers are valid during the call.
+    // SAFETY: the name ends with NUL, the buffer has the given length, and all pointers are valid during the call.
     let failed =
         unsafe { libc::getgrnam_r(name.as_ptr(), &mut group, buffer.as_mut_ptr(), buffer.len(), &mut found) };
     (failed == 0 && !found.is_null()).then_some(group.gr_gid)
 }
 
-fn acceptor(files: &TlsConfig) -> Result<TlsAcceptor, TransportError> {
-    let wrong = |path: &Path, error: &dyn std::fmt::Display| {
-        TransportError::Tls(format!("{}: {error}", path.display()))
-    };
+fn acceptor(files: &TlsConfig) -> Result<TlsAcceptor, Fault> {
+    let wrong =
+        |path: &Path, error: &dyn std::fmt::Display| usage(format!("api.tls: {}: {error}", path.display()));
     let text = regular::read(&files.certificate, regular::TEXT_BYTES);
     let text = text.map_err(|e| wrong(&files.certificate, &format!("expected certificates in PEM: {e}")))?;
     let certificates = CertificateDer::pem_slice_iter(&text)
         .collect::<Result<Vec<_>, _>>()
         .map_err(|e| wrong(&files.certificate, &format!("expected certificates in PEM: {e}")))?;
-    let key =
-        crate::control::tokens::read_private(&files.key).map_err(|e| TransportError::Tls(e.to_string()))?;
+    let key = crate::control::tokens::read_private(&files.key)
+        .map_err(|fault| usage(format!("api.tls: {}", fault.message)))?;
     let key = PrivateKeyDer::from_pem_slice(key.as_bytes())
         .map_err(|e| wrong(&files.key, &format!("expected a private key in PEM: {e}")))?;
     let provider = Arc::new(rustls::crypto::ring::default_provider());

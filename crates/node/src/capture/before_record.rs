@@ -1,36 +1,38 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Seconds before Record and after Stop: where the recording begins on all nodes, and when it ends by itself.
 //!
-//! While frames are held every node keeps those of the last seconds. Record names one trigger of the past, which all nodes
-//! have, as the first of the recording. What comes behind it is counted by the nodes, so the end is a trigger, too.
+//! While frames are held every node keeps those of the last seconds. Record names one trigger of the past, which all
+//! nodes have, as the first of the recording. What comes behind it is counted by the nodes, so the end is a trigger,
+//! too.
 
-use super::run::{CaptureRequest, Control, Nodes};
+use super::participant::Nodes;
+use super::request::{CaptureRequest, Control};
 use crate::control::request::KeepRequest;
 use crate::control::status::{Held, SessionStatus};
 
 /// Longest time before Record, and after Stop, s.
 pub const SPAN_MAX_S: f64 = 600.0;
 
-/// A capture's ends.
+/// Where the recording of one capture begins and ends, in triggers. [`super::run::capture`] makes one for each take,
+/// and asks it in every round whether the train has to be stopped.
 #[derive(Debug)]
 pub(crate) struct Span {
     session_id: u64,
     /// Triggers before Record that are kept; 0: the recording begins with the train.
-    before: u64,
+    pub(super) before: u64,
     /// Triggers behind Record; 0: until stopped.
     behind: u64,
-    /// Triggers behind a stop.
+    /// Triggers that are recorded after a stop.
     after_stop: u64,
     /// What was decided when Record was pressed.
     keep: Option<KeepRequest>,
-    /// Which nodes know.
-    told: Vec<bool>,
-    /// The train is stopped when so many triggers are recorded.
+    informed: Vec<bool>,
+    /// The train is stopped when this many triggers are recorded.
     stop_at: Option<u64>,
 }
 
 impl Span {
-    /// Of a capture of so many nodes; `behind` as in [`CaptureRequest::triggers`].
+    /// For a capture on this many nodes; `behind` as in [`CaptureRequest::triggers`].
     pub(crate) fn new(
         wish: &CaptureRequest,
         session_id: u64,
@@ -40,13 +42,8 @@ impl Span {
     ) -> Result<Self, String> {
         let before = triggers_of("before Record", wish.pre_trigger_s, rate_hz)?;
         let after_stop = triggers_of("after Stop", wish.post_trigger_s, rate_hz)?;
-        let told = vec![false; nodes];
-        Ok(Self { session_id, before, behind, after_stop, keep: None, told, stop_at: None })
-    }
-
-    /// Triggers before Record.
-    pub(crate) fn before(&self) -> u64 {
-        self.before
+        let informed = vec![false; nodes];
+        Ok(Self { session_id, before, behind, after_stop, keep: None, informed, stop_at: None })
     }
 
     /// Record was pressed, or need not be.
@@ -54,9 +51,9 @@ impl Span {
         self.before == 0 || self.keep.is_some()
     }
 
-    /// Whether the train is to be stopped now. `asked`: the operator says so, once or again.
-    pub(crate) fn stops(&mut self, asked: bool, recorded: u64) -> bool {
-        if asked {
+    /// Whether the train is to be stopped now. `requested`: the operator pressed Stop, once or again.
+    pub(crate) fn stops(&mut self, requested: bool, recorded: u64) -> bool {
+        if requested {
             let waits = self.stop_at.is_none() && self.records() && recorded > 0;
             if !waits || self.after_stop == 0 {
                 return true;
@@ -72,7 +69,7 @@ impl Span {
         Some((keep.pressed + 1).saturating_sub(keep.first) + self.behind)
     }
 
-    /// Passes Record on, where it was pressed and every node holds frames. A node that cannot be asked is asked again.
+    /// Passes Record on, where it was pressed and every node holds frames. A node that does not answer gets it again.
     pub(crate) fn pass_record_on(
         &mut self,
         nodes: Nodes<'_>,
@@ -92,15 +89,15 @@ impl Span {
             self.keep = Some(KeepRequest { session_id, first, pressed: end - 1 });
         }
         let Some(keep) = &self.keep else { return };
-        for ((node, told), session) in nodes.iter().zip(&mut self.told).zip(latest) {
-            // One that holds nothing any more has heard it, and its answer was lost.
-            let heard = || session.as_ref().is_some_and(|session| session.held.is_none());
-            if !*told {
-                *told = match node.keep(keep) {
+        for ((node, informed), session) in nodes.iter().zip(&mut self.informed).zip(latest) {
+            // A node that holds nothing any more has received it, and its answer was lost.
+            let received = || session.as_ref().is_some_and(|session| session.held.is_none());
+            if !*informed {
+                *informed = match node.keep(keep) {
                     Ok(()) => true,
                     Err(fault) => {
                         tracing::warn!(place = node.place(), "Record: {}", fault.message);
-                        heard()
+                        received()
                     }
                 };
             }
@@ -127,7 +124,7 @@ fn triggers_of(what: &str, seconds: Option<f64>, rate_hz: f64) -> Result<u64, St
 #[cfg(test)]
 mod tests {
     use super::Span;
-    use crate::capture::run::CaptureRequest;
+    use crate::capture::request::CaptureRequest;
     use crate::control::request::KeepRequest;
 
     fn span(before_s: f64, after_s: f64, behind: u64) -> Span {
@@ -142,7 +139,7 @@ mod tests {
     #[test]
     fn a_session_ends_so_many_triggers_behind_record_or_stop() {
         let mut pressed = span(2.0, 0.0, 500);
-        assert!(!pressed.records() && pressed.before() == 200);
+        assert!(!pressed.records() && pressed.before == 200);
         pressed.keep = Some(KeepRequest { session_id: 7, first: 1000, pressed: 1199 });
         assert_eq!(pressed.total(), Some(700));
         assert!(!pressed.stops(false, 699));

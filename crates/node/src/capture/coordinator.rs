@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Captures that a node runs for its operators: the browser, or the tablet, may go; the capture goes on.
 //!
-//! One at a time. It runs the same steps as `fourdbody capture`, on a thread of its own, and keeps what came of it until the
-//! next begins.
+//! One at a time. It runs the same steps as `fourdbody capture`, on a thread of its own, and keeps what came of it
+//! until the next begins.
 
 use super::participant::Participant;
 use super::report::Captured;
-use super::run::{Control, Stage};
+use super::request::{Control, Stage};
 use super::series::{self, Series};
 use crate::base::{Exit, Fault};
 use serde::Serialize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The nodes that captures are run on; made anew for each.
+/// Makes the list of nodes for a capture; called anew for each.
 pub type Participants = Arc<dyn Fn() -> Vec<Box<dyn Participant>> + Send + Sync>;
 
 /// The capture under way, or the last one.
@@ -20,7 +20,7 @@ pub type Participants = Arc<dyn Fn() -> Vec<Box<dyn Participant>> + Send + Sync>
 pub struct CaptureState {
     /// Counts the captures that this node has run since it started.
     pub number: u64,
-    /// What was asked for.
+    /// The series as it was requested.
     pub series: Series,
     /// Whose capture it is, as the audit log names them.
     pub operator: String,
@@ -30,17 +30,19 @@ pub struct CaptureState {
     pub stage: Option<Stage>,
     /// It has not ended yet.
     pub running: bool,
-    /// The takes that ended, as `capture --json` tells them.
+    /// The takes that ended, as `capture --json` prints them.
     pub takes: Vec<serde_json::Value>,
     /// Why the series ended with a failure.
     pub fault: Option<Fault>,
-    /// Where the operator ended it before its last take: what became of the take that was under way.
+    /// Where the operator ended it before its last take: the state of the take under way.
     pub stopped: Option<String>,
-    /// The operator asked for an end.
+    /// Whether the operator requested an end.
     pub asked_to_end: bool,
 }
 
-/// Runs captures.
+/// Runs the captures of a node's operators, one at a time. The API's server makes it at its start and shares it among
+/// requests. Each capture has a thread of its own, which goes on when the browser is closed; its state is kept until
+/// the next capture begins.
 #[derive(Clone)]
 pub struct Coordinator {
     cast: Participants,
@@ -107,7 +109,7 @@ impl Coordinator {
         self.running_control()?.record().then_some(()).ok_or_else(nothing)
     }
 
-    /// Gives the capture up.
+    /// Gives the capture up on all nodes.
     pub fn abort(&self, reason: &str) -> Result<(), Fault> {
         self.running_control().map(|control| control.abort(reason))
     }
@@ -139,7 +141,7 @@ impl Coordinator {
         self.change(|state| {
             state.stage = None;
             state.running = false;
-            state.asked_to_end = control.was_asked();
+            state.asked_to_end = control.end_was_requested();
             match ended {
                 Ok(ended) => state.stopped = ended.stopped,
                 Err((_, fault)) => state.fault = Some(fault),
@@ -162,7 +164,7 @@ impl Coordinator {
 #[cfg(test)]
 mod tests {
     use super::Coordinator;
-    use crate::capture::run::CaptureRequest;
+    use crate::capture::request::CaptureRequest;
     use crate::capture::series::Series;
     use std::sync::Arc;
     use std::time::{Duration, Instant};

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The time between "every node is ready" and the first trigger: one of them may cease to be.
 
-use super::run::{COUNTDOWN_MAX_S, Control, LOST_PATIENCE, Nodes, Stage, abort_all};
+use super::participant::{LOST_PATIENCE, Nodes, abort_all};
+use super::request::{COUNTDOWN_MAX_S, Control, Stage};
 use crate::base::ids::NodeId;
 use crate::base::{Exit, Fault};
 use crate::control::status::Outcome;
 use std::time::{Duration, Instant};
 
-/// How often the nodes are asked.
+/// Time between two status requests to the nodes.
 const LOOK: Duration = Duration::from_millis(250);
 
 /// Counts down unless the operator ends it, or a node gives up or is lost: who it was, and why.
@@ -43,18 +44,18 @@ pub(crate) fn count_down(
 pub(crate) struct Watch<'a> {
     nodes: Nodes<'a>,
     session_id: u64,
-    /// When each was last heard of.
-    heard: Vec<Instant>,
+    /// When each node last answered.
+    answered: Vec<Instant>,
 }
 
 impl<'a> Watch<'a> {
-    /// All nodes have just said that they are ready.
+    /// All nodes have just reported that they are ready.
     pub fn new(nodes: Nodes<'a>, session_id: u64) -> Self {
-        Self { nodes, session_id, heard: vec![Instant::now(); nodes.len()] }
+        Self { nodes, session_id, answered: vec![Instant::now(); nodes.len()] }
     }
 
-    /// Tells every node to give the session up because of a fault, and asks for their own reasons: the fault that is seen first may be what
-    /// another node's looks like from there.
+    /// Ends the session on every node because of a fault, and collects their own reasons: the fault that is seen first
+    /// may be only the effect of another node's.
     pub fn give_up(&self, fault: Fault) -> Fault {
         let told = format!("another node gave up: {}", fault.message);
         abort_all(self.nodes, self.session_id, &told);
@@ -85,15 +86,15 @@ impl<'a> Watch<'a> {
 
     /// Asks each node once; the first that is not in the session any more, with its reason.
     pub fn look(&mut self) -> Result<(), Fault> {
-        for (node, heard) in self.nodes.iter().zip(&mut self.heard) {
+        for (node, answered) in self.nodes.iter().zip(&mut self.answered) {
             let Ok(status) = node.status() else {
-                if heard.elapsed() < LOST_PATIENCE {
+                if answered.elapsed() < LOST_PATIENCE {
                     continue;
                 }
-                let message = format!("the node at {} does not answer any more", node.place());
+                let message = format!("the node at {} stopped answering", node.place());
                 return Err(Fault::new(Exit::Device, message));
             };
-            *heard = Instant::now();
+            *answered = Instant::now();
             match status.session.filter(|session| session.session_id == self.session_id) {
                 Some(session) => {
                     if let Some(Outcome::Failed(fault)) = session.outcome {
@@ -102,8 +103,7 @@ impl<'a> Watch<'a> {
                     }
                 }
                 None => {
-                    let message =
-                        format!("node {} does not know the session any more; it was restarted", status.node);
+                    let message = format!("node {} left the session: it was restarted", status.node);
                     return Err(Fault::new(Exit::Device, message));
                 }
             }
@@ -115,7 +115,7 @@ impl<'a> Watch<'a> {
 #[cfg(test)]
 mod tests {
     use super::{Watch, count_down};
-    use crate::capture::run::Control;
+    use crate::capture::request::Control;
 
     #[test]
     fn a_countdown_ends_when_the_operator_does_not_want_it_any_more() {

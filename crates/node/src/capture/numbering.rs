@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Names of takes: a name that is taken already is followed by the next number, whoever recorded under it.
+//! Names of takes: a name that is taken already is followed by the next number.
 
-use super::run::Nodes;
+use super::participant::Nodes;
 use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault};
 use std::path::Path;
 
-/// Numbers go up to here.
+/// The largest number of a take.
 const NUMBER_MAX: u32 = 9999;
 
 /// The name after this one: `walk` is followed by `walk-02`, `walk-07` by `walk-08`.
 pub fn next(name: &str) -> String {
     let (base, number) = parts(name);
-    numbered(base, number.saturating_add(1))
+    format!("{base}-{:02}", number.saturating_add(1))
 }
 
 /// The first name from `wanted` on under which nothing is recorded in this directory.
@@ -57,10 +57,6 @@ fn parts(name: &str) -> (&str, u32) {
         Some((base, number)) if !base.is_empty() => (base, number),
         _ => (name, 1),
     }
-}
-
-fn numbered(base: &str, number: u32) -> String {
-    format!("{base}-{number:02}")
 }
 
 #[cfg(test)]

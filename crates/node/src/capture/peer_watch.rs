@@ -1,40 +1,39 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A node in a session looks after the other nodes of it: frames of some cameras alone are of no use.
+//! A node in a session watches the other nodes of it: frames of some cameras alone are of no use.
 //!
-//! Whoever coordinates a session does the same, but may be gone. A node that answers and is not in the session any more (it
-//! was restarted, or broke off) ends it at once; one that does not answer is waited for, because the network may be all that
-//! failed. What was recorded is kept, and says why it ended.
+//! The coordinator of the session does the same, but may be gone. A node that answers and is not in the session any
+//! more (it was restarted, or broke off) ends it at once; one that does not answer is waited for, because only the
+//! network may have failed. What was recorded is kept, with the reason.
 
 use super::participant::{LocalNode, Participant};
 use crate::base::ids::NodeId;
+use crate::control::client::NodeClient;
 use crate::control::request::Phase;
 use crate::control::status::{NodeStatus, Outcome, SessionStatus};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Another node that does not answer for so long ends the session here.
+/// Another node that has not answered for this time ends the session here.
 pub const PEER_PATIENCE: Duration = Duration::from_secs(15);
-/// One that takes connections, and only does not serve them, has so long.
+/// The same for a node that takes connections, and only does not serve them.
 pub const UNSERVED_PATIENCE: Duration = Duration::from_secs(60);
-/// How often they are asked.
+/// Time between two status requests to a node.
 const POLL: Duration = Duration::from_millis(500);
-/// A node that answers has been in the session, or takes so long to say that it has ended it.
+/// Time within which a node that answers must be in the session, or report that it has ended it.
 const RESTART_PATIENCE: Duration = Duration::from_secs(2);
 
 /// The thread that looks; it ends when dropped.
 #[derive(Debug)]
 pub struct PeerWatch {
     ended: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
 }
 
 impl PeerWatch {
     /// Looks after these nodes while the node `here` is in a session with them.
-    pub fn start(peers: Vec<(NodeId, Box<dyn Participant>)>, here: LocalNode) -> std::io::Result<Self> {
+    pub fn start(peers: Vec<(NodeId, NodeClient)>, here: LocalNode) -> std::io::Result<Self> {
         let ended = Arc::new(AtomicBool::new(false));
-        let seen = Arc::clone(&ended);
+        let (seen, has_peers) = (Arc::clone(&ended), !peers.is_empty());
         let run = move || {
             let mut watch = Watch { peers, here, session: None };
             while !seen.load(Ordering::Acquire) {
@@ -42,21 +41,22 @@ impl PeerWatch {
                 std::thread::sleep(POLL);
             }
         };
-        let thread = std::thread::Builder::new().name("peers".to_owned()).spawn(run)?;
-        Ok(Self { ended, thread: Some(thread) })
+        if has_peers {
+            std::thread::Builder::new().name("peers".to_owned()).spawn(run)?;
+        }
+        Ok(Self { ended })
     }
 }
 
 impl Drop for PeerWatch {
     fn drop(&mut self) {
+        // Not waited for: it may be waiting for a node that does not answer.
         self.ended.store(true, Ordering::Release);
-        // Not waited for: it may be asking a node that does not answer.
-        drop(self.thread.take());
     }
 }
 
 struct Watch {
-    peers: Vec<(NodeId, Box<dyn Participant>)>,
+    peers: Vec<(NodeId, NodeClient)>,
     here: LocalNode,
     /// The session that is watched, and since when each peer was not seen in it.
     session: Option<(u64, Vec<Instant>)>,
@@ -79,22 +79,22 @@ impl Watch {
             if !session.nodes.contains(name) {
                 continue;
             }
-            let told = peer.status().ok();
-            let theirs = told.as_ref().and_then(|status| status.session.as_ref()?.kept);
-            // Whoever passed Record on may be gone before all had heard it.
+            let status_there = peer.status().ok();
+            let theirs = status_there.as_ref().and_then(|status| status.session.as_ref()?.kept);
+            // The coordinator may be gone before all nodes received Record.
             if let Some(keep) = theirs.filter(|keep| keep.session_id == id && session.held.is_some())
                 && let Err(fault) = self.here.keep(&keep)
             {
                 tracing::warn!("Record, as node {name} has it: {}", fault.message);
             }
-            let reason = match judge(id, told.as_ref()) {
+            let reason = match judge(id, status_there.as_ref()) {
                 Seen::InSession => {
                     *seen = Instant::now();
                     continue;
                 }
                 Seen::Ended(reason) => Some(format!("node {name} ended early: {reason}")),
                 Seen::NotInSession => (seen.elapsed() > RESTART_PATIENCE)
-                    .then(|| format!("node {name} is not in the session any more; it was restarted")),
+                    .then(|| format!("node {name} left the session: it was restarted")),
                 Seen::Silent => {
                     let silent = seen.elapsed();
                     let gone = silent > UNSERVED_PATIENCE || silent > PEER_PATIENCE && !peer.is_there();
@@ -110,11 +110,10 @@ impl Watch {
     }
 }
 
-/// What another node's answer says about a session.
+/// What another node's answer shows about a session.
 #[derive(Debug, PartialEq, Eq)]
 enum Seen {
     InSession,
-    /// Before it should have.
     Ended(String),
     NotInSession,
     Silent,

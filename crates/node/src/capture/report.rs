@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A session that ended on every node, for the person and the script that asked for it.
+//! The result of a session that ended on every node, for people and for scripts.
 
 use crate::base::ids::one_line;
 use crate::base::{Exit, Fault};
@@ -11,34 +11,17 @@ use std::path::PathBuf;
 /// A session that ended on every node.
 #[derive(Debug, Clone)]
 pub struct Captured {
-    name: String,
-    dry_run: bool,
-    /// Nodes of the rig that were not asked.
-    absent: Vec<String>,
+    /// The name under which the session is recorded.
+    pub name: String,
+    pub(super) dry_run: bool,
+    /// Nodes of the rig that took no part.
+    pub(super) absent: Vec<String>,
     /// Per node: its name, and its session as it ended.
-    nodes: Vec<(String, SessionStatus)>,
+    pub(super) nodes: Vec<(String, SessionStatus)>,
 }
 
 impl Captured {
-    pub(crate) fn new(
-        name: String,
-        dry_run: bool,
-        absent: Vec<String>,
-        nodes: Vec<(String, SessionStatus)>,
-    ) -> Self {
-        Self { name, dry_run, absent, nodes }
-    }
-
-    /// The session's name.
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    pub(crate) fn nodes(&self) -> &[(String, SessionStatus)] {
-        &self.nodes
-    }
-
-    /// 0 when every frame of every camera that was asked is there, 3 otherwise.
+    /// 0 when every frame of every camera that took part is there, 3 otherwise.
     pub fn exit(&self) -> Exit {
         if self.worst() == Status::Complete { Exit::Done } else { Exit::DataLoss }
     }
@@ -49,11 +32,11 @@ impl Captured {
         kept.map(|(_, session)| session.directory.clone()).collect()
     }
 
-    /// For people.
+    /// The verdict of every node in lines of text.
     pub fn lines(&self) -> Vec<String> {
         let kind = if self.dry_run { "dry run" } else { "session" };
         let mut lines = vec![format!("{kind} {}: {}", self.name, self.verdict())];
-        lines.extend(self.absent.iter().map(|node| format!("  partial: node {node} not asked")));
+        lines.extend(self.absent.iter().map(|node| format!("  partial: node {node} took no part")));
         for (node, session) in &self.nodes {
             lines.push(format!(
                 "  node {node}: {}, {} triggers",
@@ -77,7 +60,7 @@ impl Captured {
         lines
     }
 
-    /// For scripts.
+    /// The same as JSON, for scripts.
     pub fn to_json(&self) -> serde_json::Value {
         let nodes =
             self.nodes.iter().map(|(node, session)| serde_json::json!({ "node": node, "session": session }));
@@ -90,7 +73,7 @@ impl Captured {
         })
     }
 
-    /// The worst of the nodes' words; `partial` where all is there that was asked of a part of the rig.
+    /// The worst of the nodes' verdicts; `partial` where a part of the rig was meant and all of that is there.
     pub fn verdict(&self) -> &'static str {
         match self.worst() {
             Status::Complete if !self.absent.is_empty() => "partial",
@@ -119,19 +102,19 @@ fn camera_lines(verdict: &serde_json::Value) -> Vec<String> {
     cameras.chain(advice.map(|line| format!("    {line}"))).collect()
 }
 
-/// What a node without a verdict had written when it was last heard of, and where that is.
+/// What a node without a verdict had written at its last status, and where that is.
 fn last_heard(session: &SessionStatus, dry_run: bool) -> Vec<String> {
     let written: u64 = session.cameras.iter().map(|camera| camera.frames + camera.gaps).sum();
     if dry_run || (written == 0 && session.triggers == 0) {
         return vec!["    nothing recorded".to_owned()];
     }
     let camera = |camera: &CameraProgress| {
-        format!("    {}: {} frames and {} gaps when last heard of", camera.id, camera.frames, camera.gaps)
+        format!("    {}: {} frames and {} gaps at the last status", camera.id, camera.frames, camera.gaps)
     };
     let mut lines: Vec<String> = session.cameras.iter().map(camera).collect();
     let directory = session.directory.display();
     lines.push(format!(
-        "    without a verdict; what is on its disk: `fourdbody info {directory}` there, and `fourdbody recover` to complete it"
+        "    no verdict; see its disk with `fourdbody info {directory}` there, and complete it with `fourdbody recover`"
     ));
     lines
 }
@@ -156,8 +139,8 @@ pub(crate) fn ended_early(session: &SessionStatus) -> Option<&str> {
     }
 }
 
-/// A session that recorded nothing anywhere is a failure, not a verdict. Every node's reason is told: one of them may
-/// only know that the train was empty, which is what the failure of another looks like from there.
+/// A session that recorded nothing anywhere is a failure, not a verdict. Every node's reason is in it: one of them may
+/// only know that the train was empty, which is the effect of another node's failure.
 pub(crate) fn failure_of_all(nodes: &[(String, SessionStatus)]) -> Option<Fault> {
     let failure = |(node, session): &(String, SessionStatus)| match &session.outcome {
         Some(Outcome::Failed(fault)) => Some((fault.exit, format!("node {node}: {}", fault.message))),
@@ -177,7 +160,7 @@ mod tests {
     use crate::base::Exit;
     use crate::control::status::{Outcome, SessionStatus};
 
-    /// A session of which each node says this (`failed`: it has no recording), and of a rig with these nodes more.
+    /// A session with this verdict on each node (`failed`: it has no recording), and of a rig with these nodes more.
     fn captured(words: &[&str], absent: &[&str]) -> Captured {
         let node = |word: &&str| {
             let recorded = || Outcome::Recorded(serde_json::json!({ "status": word }));
@@ -188,7 +171,7 @@ mod tests {
             ("a".to_owned(), serde_json::from_value::<SessionStatus>(session).expect("a status"))
         };
         let absent = absent.iter().map(|node| (*node).to_owned()).collect();
-        Captured::new("walk".to_owned(), false, absent, words.iter().map(node).collect())
+        Captured { name: "walk".to_owned(), dry_run: false, absent, nodes: words.iter().map(node).collect() }
     }
 
     #[test]

@@ -1,200 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One session on all nodes, as whoever coordinates it sees it: prepare all, count down, start, follow, verdict.
+//! One session on all nodes, as its coordinator sees it: prepare all, count down, start, follow, verdict.
 //!
-//! Two phases: nothing starts unless every node is ready, and the HSU itself refuses a start until every
-//! link has armed the same session. Whatever fails on the way, every node is told to give the session up.
+//! Two phases: nothing starts unless every node is ready, and the HSU itself refuses a start until every link has
+//! armed the same session. Whatever fails on the way, every node receives an abort.
 
 use super::before_record::Span;
 use super::countdown::{Watch, count_down};
-use super::participant::Participant;
+use super::participant::{LOST_PATIENCE, Nodes, Participant, abort_all};
 use super::peer_watch::UNSERVED_PATIENCE;
 use super::report::{Captured, ended_early, failure_of_all};
+use super::request::{COUNTDOWN_MAX_S, CaptureRequest, Control, Stage};
 use crate::base::ids::NodeId;
 use crate::base::{Exit, Fault};
-use crate::control::request::{Phase, SessionRequest, StartOn};
+use crate::control::request::{Phase, SessionRequest};
 use crate::control::status::{NodeStatus, Outcome, SessionStatus};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::fmt;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// What to capture: one take.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct CaptureRequest {
-    /// Seconds; or `triggers`; or neither: until stopped.
-    pub duration_s: Option<f64>,
-    /// Triggers, 0 until stopped; or `duration_s`.
-    pub triggers: Option<u64>,
-    /// Also the session's directory; by default made from the time.
-    pub name: Option<String>,
-    /// Pseudonymous.
-    pub subject: Option<String>,
-    /// Free text.
-    pub note: Option<String>,
-    /// The train starts at this edge of one of the HSU's inputs; nodes wait 120 s for it.
-    pub start_on: Option<StartOn>,
-    /// Seconds before Record that are kept: the train starts, and nothing is recorded before it. Then `duration_s` or `triggers` is
-    /// counted from Record.
-    pub pre_trigger_s: Option<f64>,
-    /// Seconds that are recorded after a stop.
-    pub post_trigger_s: Option<f64>,
-    /// Everything but the recording.
-    pub dry_run: bool,
-    /// A part of the rig is meant: without this all nodes of the rig take part.
-    pub partial: bool,
-    /// Seconds from the moment at which every node is ready to the first trigger.
-    pub countdown_s: u32,
-    /// Whom the node that runs the capture serves. Not theirs to say.
-    #[serde(skip)]
-    pub on_behalf_of: Option<String>,
-}
-
-/// Nodes that are ready wait for 120 s.
-pub const COUNTDOWN_MAX_S: u32 = 60;
-
-/// How whoever waits for a capture may end it.
-#[derive(Debug, Default)]
-pub struct Control {
-    stop: AtomicBool,
-    record: AtomicBool,
-    /// All nodes hold frames.
-    holding: AtomicBool,
-    abort: Mutex<Option<String>>,
-    /// Either was asked for at some time.
-    asked: AtomicBool,
-}
-
-impl Control {
-    /// After the current trigger; what was recorded is a session as any other. Before the start: nothing is recorded.
-    pub fn stop(&self) {
-        self.asked.store(true, Ordering::Release);
-        self.stop.store(true, Ordering::Release);
-    }
-
-    /// What is held is kept, and recorded with what comes. `false`: nothing is held, now or any more.
-    pub fn record(&self) -> bool {
-        let holding = self.holding.load(Ordering::Acquire);
-        self.record.fetch_or(holding, Ordering::AcqRel);
-        holding
-    }
-
-    pub(crate) fn holds(&self, holding: bool) {
-        self.holding.store(holding, Ordering::Release);
-    }
-
-    pub(crate) fn record_is_pressed(&self) -> bool {
-        self.record.load(Ordering::Acquire)
-    }
-
-    /// Now; what was recorded is kept and says why it ended.
-    pub fn abort(&self, reason: &str) {
-        self.asked.store(true, Ordering::Release);
-        let mut abort = self.abort.lock().unwrap_or_else(PoisonError::into_inner);
-        abort.get_or_insert_with(|| reason.to_owned());
-    }
-
-    /// Whether the operator asked for an end at any time, carried out or not.
-    pub fn was_asked(&self) -> bool {
-        self.asked.load(Ordering::Acquire)
-    }
-
-    /// Whether either was asked for; a stop is not forgotten.
-    pub fn ends(&self) -> bool {
-        self.stop.load(Ordering::Acquire)
-            || self.abort.lock().unwrap_or_else(PoisonError::into_inner).is_some()
-    }
-
-    fn take_abort(&self) -> Option<String> {
-        self.abort.lock().unwrap_or_else(PoisonError::into_inner).take()
-    }
-}
-
-/// How far a capture is.
-#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
-#[serde(rename_all = "snake_case", tag = "stage")]
-pub enum Stage {
-    /// Cameras and HSU of all nodes.
-    Preparing,
-    /// Every node is ready.
-    CountingDown {
-        /// Until the first trigger.
-        left_s: u32,
-    },
-    /// Every node is ready, and the HSU waits for an edge of an input.
-    AwaitingEdge {
-        /// Which.
-        edge: StartOn,
-    },
-    /// Triggers are coming, frames are held, and nothing is recorded before Record.
-    Holding {
-        /// Triggers that all nodes hold.
-        triggers: u64,
-        /// Those that are to be kept.
-        asked: u64,
-        /// As of [`Self::Recording`].
-        #[serde(default, skip_serializing_if = "Vec::is_empty")]
-        notices: Vec<String>,
-    },
-    /// Triggers are coming, or their frames are.
-    Recording {
-        /// Triggers so far.
-        triggers: u64,
-        /// Triggers asked for; 0: until stopped.
-        asked: u64,
-        /// Frames of all cameras.
-        frames: u64,
-        /// Gap records of all cameras.
-        gaps: u64,
-        /// What nodes find that must be known now, with their names.
-        #[serde(default, skip_serializing_if = "Vec::is_empty")]
-        notices: Vec<String>,
-    },
-    /// A stop was asked for.
-    Stopping,
-    /// A node takes connections and gives no status; the session goes on there, and its verdict is waited for.
-    Unanswered {
-        /// Where it is.
-        place: String,
-        /// For so long.
-        since_s: u64,
-    },
-}
-
-impl fmt::Display for Stage {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Preparing => write!(f, "preparing cameras and HSU on all nodes"),
-            Self::CountingDown { left_s } => {
-                write!(f, "every node is ready; {left_s} s to the first trigger")
-            }
-            Self::AwaitingEdge { edge } => write!(f, "every node is ready; waiting for a {edge}"),
-            Self::Holding { triggers, asked, .. } => {
-                write!(f, "{triggers} of {asked} triggers before Record are held; nothing is recorded yet")
-            }
-            Self::Recording { triggers, asked: 0, frames, gaps, .. } => {
-                write!(f, "trigger {triggers}: {frames} frames, {gaps} gaps")
-            }
-            Self::Recording { triggers, asked, frames, gaps, .. } => {
-                write!(f, "trigger {triggers} of {asked}: {frames} frames, {gaps} gaps")
-            }
-            Self::Stopping => write!(f, "stopping after the current trigger"),
-            Self::Unanswered { place, since_s } => {
-                write!(
-                    f,
-                    "no status from {place} for {since_s} s; its session goes on, and is asked for again"
-                )
-            }
-        }
-    }
-}
-
-/// Nodes of one session.
-pub type Nodes<'a> = &'a [Box<dyn Participant>];
-
-/// Runs a session; `progress` is told now and then.
+/// Runs one session on all nodes, from the request to the verdict; `progress` receives each stage.
 pub fn capture(
     nodes: Nodes<'_>,
     wish: &CaptureRequest,
@@ -203,8 +26,7 @@ pub fn capture(
 ) -> Result<Captured, Fault> {
     let statuses = nodes.iter().map(|node| node.status()).collect::<Result<Vec<_>, _>>()?;
     let (request, mut span) = request(wish, &statuses)?;
-    control.record.store(false, Ordering::Release);
-    control.holds(false);
+    control.begin();
     progress(&Stage::Preparing);
     if let Err(fault) = prepare_all(nodes, &statuses, &request) {
         abort_all(nodes, request.session_id, "another node could not get ready");
@@ -222,7 +44,7 @@ pub fn capture(
     }
     let first = nodes.first().ok_or_else(|| Fault::new(Exit::Usage, "no nodes"))?;
     if let Err(refused) = first.start(request.session_id) {
-        // Of a node that has given up since, its own reason says more.
+        // The own reason of a node that has given up since is more precise.
         let fault = watch.look().err().unwrap_or(refused);
         return Err(watch.give_up(fault));
     }
@@ -230,12 +52,13 @@ pub fn capture(
     let train = Duration::try_from_secs_f64(request.triggers as f64 / rate).unwrap_or(Duration::MAX);
     let sessions = follow(nodes, &request, train, &mut span, control, &mut progress)?;
     let named = statuses.iter().map(|status| status.node.to_string()).zip(sessions);
-    let captured = Captured::new(request.name, wish.dry_run, absent(&statuses), named.collect());
-    match failure_of_all(captured.nodes()) {
-        Some(_) if request.start_on.is_some() && control.was_asked() => {
+    let (name, dry_run, absent) = (request.name, wish.dry_run, absent(&statuses));
+    let captured = Captured { name, dry_run, absent, nodes: named.collect() };
+    match failure_of_all(&captured.nodes) {
+        Some(_) if request.start_on.is_some() && control.end_was_requested() => {
             Err(not_begun("stopped by the operator before the edge came"))
         }
-        Some(_) if !span.records() && control.was_asked() => {
+        Some(_) if !span.records() && control.end_was_requested() => {
             Err(not_begun("stopped by the operator before Record was pressed"))
         }
         Some(fault) => Err(fault),
@@ -274,11 +97,11 @@ fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<(SessionReq
         }
     }
     let absent = absent(statuses);
-    // A dry run records nothing, and says what it was of.
+    // A dry run records nothing, and its report lists the absent nodes.
     if !absent.is_empty() && !wish.partial && !wish.dry_run {
         return Err(usage(format!(
-            "the rig has node {}, which was not asked; add it to --nodes (on a node: to its peers), or ask for a part of the rig with \
-             --partial",
+            "the rig has node {}, which does not take part; add it to --nodes (on a node: to its peers), or record \
+             a part of the rig with --partial",
             absent.join(" and node ")
         )));
     }
@@ -299,12 +122,12 @@ fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<(SessionReq
         session_id,
         name,
         // How many there are in all is known when Record is pressed.
-        triggers: if span.before() > 0 { 0 } else { triggers },
+        triggers: if span.before > 0 { 0 } else { triggers },
         nodes,
         subject: wish.subject.clone(),
         note: wish.note.clone(),
         start_on: wish.start_on,
-        pre_triggers: span.before(),
+        pre_triggers: span.before,
         dry_run: wish.dry_run,
         on_behalf_of: wish.on_behalf_of.clone(),
     };
@@ -319,7 +142,7 @@ fn absent(statuses: &[NodeStatus]) -> Vec<String> {
     absent.map(ToString::to_string).collect::<BTreeSet<_>>().into_iter().collect()
 }
 
-/// Triggers asked for, 0: until stopped.
+/// Number of requested triggers, 0: until stopped.
 fn triggers(wish: &CaptureRequest, rate_hz: f64) -> Result<u64, String> {
     match (wish.triggers, wish.duration_s) {
         (Some(_), Some(_)) => Err("both triggers and a duration; expected one of them".to_owned()),
@@ -347,7 +170,7 @@ fn prepare_all(nodes: Nodes<'_>, statuses: &[NodeStatus], request: &SessionReque
                 thread.join().unwrap_or_else(|_| Err(Fault::new(Exit::Failure, "preparing panicked")));
             let answer = answer
                 .map_err(|f| Fault { exit: f.exit, message: format!("node {}: {}", status.node, f.message) });
-            // What is wrong on one node is no reason not to say what is wrong on the other.
+            // All nodes' faults are reported, not only the first.
             if let Err(fault) = answer {
                 all = Some(match all {
                     None => fault,
@@ -361,27 +184,16 @@ fn prepare_all(nodes: Nodes<'_>, statuses: &[NodeStatus], request: &SessionReque
     })
 }
 
-pub(crate) fn abort_all(nodes: Nodes<'_>, session_id: u64, reason: &str) {
-    for node in nodes {
-        // A node that is not in this session says so; there is nothing more to do for it.
-        if let Err(fault) = node.abort(session_id, reason) {
-            tracing::debug!(place = node.place(), "abort: {}", fault.message);
-        }
-    }
-}
-
-/// A node that is silent about the session for this long is lost.
-pub const LOST_PATIENCE: Duration = Duration::from_secs(5);
-
 fn lost(node: &dyn Participant) -> Fault {
     let message = format!(
-        "the node at {} does not answer any more; what it recorded is on its disk, see `fourdbody verify` there",
+        "the node at {} stopped answering; its part of the recording is on its disk, see `fourdbody verify` there",
         node.place()
     );
     Fault::new(Exit::Device, message)
 }
 
-/// Polls until every node has an outcome for this session; `train` is how long its triggers take, 0 where nobody knows.
+/// Polls until every node has an outcome for this session; `train` is how long its triggers take, 0 where that is not
+/// known.
 fn follow(
     nodes: Nodes<'_>,
     request: &SessionRequest,
@@ -393,16 +205,16 @@ fn follow(
     const POLL: Duration = Duration::from_millis(100);
     let mut seen = vec![Instant::now(); nodes.len()];
     let mut latest: Vec<Option<SessionStatus>> = vec![None; nodes.len()];
-    let (mut told, mut stopping, mut triggers, started) = (false, false, 0, Instant::now());
+    let (mut aborted, mut stopping, mut triggers, started) = (false, false, 0, Instant::now());
     loop {
-        stopping |= span.stops(control.stop.swap(false, Ordering::AcqRel), triggers);
+        stopping |= span.stops(control.take_stop(), triggers);
         if stopping {
             progress(&Stage::Stopping);
-            // Any link will do: the first node may be the one that is gone. Where none takes it, it is asked again.
+            // Any link will do: the first node may be the one that is gone. Where no node takes it, it is sent again.
             stopping = !nodes.iter().any(|node| node.stop(request.session_id).is_ok());
         }
         if let Some(reason) = control.take_abort() {
-            told = true;
+            aborted = true;
             abort_all(nodes, request.session_id, &reason);
         }
         for (i, node) in nodes.iter().enumerate() {
@@ -417,7 +229,7 @@ fn follow(
                     latest[i] = Some(session);
                 }
                 _ if seen[i].elapsed() < LOST_PATIENCE => {}
-                // Somebody else may take all that it can serve: that ends no session.
+                // Other clients may take all that it can serve: that ends no session.
                 Err(_)
                     if seen[i].elapsed().min(started.elapsed().saturating_sub(train)) < UNSERVED_PATIENCE
                         && node.is_there() =>
@@ -431,7 +243,7 @@ fn follow(
                 _ => match &mut latest[i] {
                     Some(session) => session.outcome = Some(Outcome::Failed(lost(node.as_ref()))),
                     None => {
-                        abort_all(nodes, request.session_id, "the other node does not answer any more");
+                        abort_all(nodes, request.session_id, "the other node stopped answering");
                         return Err(lost(node.as_ref()));
                     }
                 },
@@ -444,9 +256,9 @@ fn follow(
         }
         // A node that broke off ends the session for all: frames of some cameras alone are of no use.
         let broken = latest.iter().flatten().find_map(ended_early);
-        if let Some(reason) = broken.filter(|_| !told) {
+        if let Some(reason) = broken.filter(|_| !aborted) {
             let reason = format!("another node ended early: {reason}");
-            told = true;
+            aborted = true;
             abort_all(nodes, request.session_id, &reason);
         }
         let sum = |count: fn(&crate::control::status::CameraProgress) -> u64| -> u64 {
@@ -458,7 +270,7 @@ fn follow(
         let notices = notices(request, &latest);
         progress(&match (request.start_on.filter(|_| triggers == 0), held) {
             (Some(edge), _) => Stage::AwaitingEdge { edge },
-            (None, Some(triggers)) => Stage::Holding { triggers, asked: span.before(), notices },
+            (None, Some(triggers)) => Stage::Holding { triggers, asked: span.before, notices },
             (None, None) => Stage::Recording {
                 triggers,
                 asked: span.total().unwrap_or(request.triggers),

@@ -2,13 +2,15 @@
 //! Several takes of the same: named in a row, with pauses, ended together.
 
 use super::numbering;
+use super::participant::Nodes;
 use super::report::Captured;
-use super::run::{CaptureRequest, Control, Nodes, Stage, capture};
+use super::request::{CaptureRequest, Control, Stage};
+use super::run::capture;
 use crate::base::{Exit, Fault};
 use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
 
-/// Takes of one wish.
+/// Several takes with the same settings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Series {
@@ -30,7 +32,7 @@ pub struct Series {
 pub struct Ended {
     /// The takes, in their order.
     pub takes: Vec<Captured>,
-    /// Where the operator ended it before its last take: what became of the take that was under way.
+    /// Where the operator ended it before its last take: the state of the take under way.
     pub stopped: Option<String>,
 }
 
@@ -38,18 +40,18 @@ fn one() -> u32 {
     1
 }
 
-/// More takes than this are a slip of the finger.
+/// Most takes of a series: more are taken for a typing error.
 pub const TAKES_MAX: u32 = 99;
-/// As are pauses longer than this.
+/// Longest pause between takes, s: a longer one is taken for a typing error.
 pub const PAUSE_MAX_S: u32 = 3600;
 
 impl Series {
-    /// A single take.
+    /// A series of one take.
     pub fn single(wish: CaptureRequest) -> Self {
         Self { wish, takes: 1, pause_s: 0, number: false }
     }
 
-    /// What is asked for, or what is wrong with it.
+    /// Checks the series, and returns what is wrong with it.
     pub fn check(&self) -> Result<(), Fault> {
         let usage = |message: String| Err(Fault::new(Exit::Usage, message));
         if !(1..=TAKES_MAX).contains(&self.takes) {
@@ -65,7 +67,7 @@ impl Series {
         Ok(())
     }
 
-    /// The wish of take 1, 2, ...; `last` is the name of the take before it.
+    /// The request of take 1, 2, ...; `last` is the name of the take before it.
     fn take(&self, nodes: Nodes<'_>, number: u32, last: Option<&str>) -> Result<CaptureRequest, Fault> {
         let mut wish = self.wish.clone();
         let Some(name) = wish.name.as_mut() else { return Ok(wish) };
@@ -81,9 +83,9 @@ impl Series {
     }
 }
 
-/// Runs all takes. `progress` gets the number of the take and how far it is. A take that fails ends the series: what went
-/// before it is returned with the fault. Stopping a take ends the series after it; one that is stopped before it has
-/// recorded anything is no fault of a series that has recorded others.
+/// Runs all takes. `progress` gets the number of the take and how far it is. A take that fails ends the series: what
+/// went before it is returned with the fault. Stopping a take ends the series after it; one that is stopped before it
+/// has recorded anything is no fault of a series that has recorded others.
 pub fn run(
     nodes: Nodes<'_>,
     series: &Series,
@@ -98,7 +100,7 @@ pub fn run(
     let of = series.takes;
     for number in 1..=of {
         let mut stopped = false;
-        let wish = series.take(nodes, number, done.last().map(Captured::name));
+        let wish = series.take(nodes, number, done.last().map(|last| last.name.as_str()));
         let captured = wish.and_then(|wish| {
             capture(nodes, &wish, control, |stage| {
                 stopped |= *stage == Stage::Stopping;
@@ -112,10 +114,10 @@ pub fn run(
                 done.push(captured);
                 if stopped || aborted {
                     let after = (number < of).then(|| format!("ended after take {number} of {of}"));
-                    return Ok(Ended { takes: done, stopped: after.filter(|_| control.was_asked()) });
+                    return Ok(Ended { takes: done, stopped: after.filter(|_| control.end_was_requested()) });
                 }
             }
-            Err(fault) if control.was_asked() && !done.is_empty() => {
+            Err(fault) if control.end_was_requested() && !done.is_empty() => {
                 let message = format!(
                     "take {number} of {of} was ended before it recorded anything ({})",
                     fault.message
@@ -145,7 +147,7 @@ fn rest(pause: Duration, control: &Control) -> bool {
 #[cfg(test)]
 mod tests {
     use super::{Series, TAKES_MAX};
-    use crate::capture::run::CaptureRequest;
+    use crate::capture::request::CaptureRequest;
 
     #[test]
     fn takes_are_numbered_only_where_there_are_several() {

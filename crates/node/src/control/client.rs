@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The API's client, blocking: what `capture`, `status` and `doctor` use. Over TCP, TLS or a Unix socket.
 
-use super::proof::{self, Asked};
-use super::request::{KeepRequest, SessionRequest};
-use super::status::{Challenge, FreeName, NodeStatus, SessionCommand, path};
+use super::proof::{self, ProvenRequest};
+use super::status::{Challenge, NodeStatus, path};
 use super::tokens::{SecretHash, read_secret};
-use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault, json, regular};
 use http_body_util::{BodyExt, Full, Limited};
 use hyper::body::Bytes;
@@ -26,7 +24,7 @@ use tokio_rustls::rustls::pki_types::pem::PemObject;
 use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
 use tokio_rustls::rustls::{ClientConfig, RootCertStore, crypto};
 
-/// Where a node is.
+/// The address of a node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Place {
     Unix(PathBuf),
@@ -58,23 +56,18 @@ impl fmt::Debug for NodeClient {
     }
 }
 
-/// Preparing waits for absent cameras, 2.5 s each.
-const PREPARE_TIMEOUT: Duration = Duration::from_secs(60);
-const PREPARE_TO_HOLD_TIMEOUT: Duration = Duration::from_secs(110);
-const TIMEOUT: Duration = Duration::from_secs(10);
-/// No answer of a node is longer.
+/// Longest time that an answer may take, unless the caller names another one.
+pub const TIMEOUT: Duration = Duration::from_secs(10);
+/// Longest answer of a node that is read, bytes.
 const ANSWER_BYTES_MAX: usize = 64 << 20;
-/// What Debian's `ca-certificates` makes.
+/// The system's certificates, as Debian's `ca-certificates` installs them.
 const SYSTEM_CA: &str = "/etc/ssl/certs/ca-certificates.crt";
 
 /// What a node answered, whatever its status.
 #[derive(Debug, Clone)]
 pub struct Answer {
-    /// HTTP status.
     pub status: StatusCode,
-    /// What the body is.
     pub content_type: Option<HeaderValue>,
-    /// The body.
     pub body: Bytes,
 }
 
@@ -95,7 +88,7 @@ impl NodeClient {
             client.tls = Some(tls_config(credentials.ca.as_deref()).map_err(usage)?);
         }
         if let Some(file) = &credentials.token_file {
-            let secret = read_secret(file).map_err(|e| usage(e.to_string()))?;
+            let secret = read_secret(file)?;
             authorization("Bearer ", &secret).map_err(|e| usage(format!("{}: {e}", file.display())))?;
             client.secret = Some(secret);
         }
@@ -116,53 +109,17 @@ impl NodeClient {
         }
     }
 
-    /// The URL.
+    /// The URL that the client was made for.
     pub fn url(&self) -> &str {
         &self.url
     }
 
-    /// The node's status.
+    /// The status of the node, as it last published it.
     pub fn status(&self) -> Result<NodeStatus, Fault> {
         self.get(path::STATUS)
     }
 
-    /// The first name from this one on under which nothing is recorded there.
-    pub fn free_name(&self, wanted: &str) -> Result<String, Fault> {
-        // A name that leads elsewhere in the path is none of a session.
-        let wanted = SessionName::parse(wanted).map_err(|e| Fault::new(Exit::Usage, e))?;
-        let free: FreeName = self.get(&path::FREE_NAME.replace("{name}", wanted.as_str()))?;
-        Ok(free.name)
-    }
-
-    /// Prepares a session and waits until the node is ready.
-    pub fn prepare(&self, request: &SessionRequest) -> Result<(), Fault> {
-        // Memory for seconds before Record is touched, page by page.
-        let patience = if request.pre_triggers > 0 { PREPARE_TO_HOLD_TIMEOUT } else { PREPARE_TIMEOUT };
-        self.post(path::PREPARE, request, patience)
-    }
-
-    /// Starts the train.
-    pub fn start(&self, session_id: u64) -> Result<(), Fault> {
-        self.post(path::START, &SessionCommand { session_id, reason: None }, TIMEOUT)
-    }
-
-    /// Records what is held, from a trigger on.
-    pub fn keep(&self, request: &KeepRequest) -> Result<(), Fault> {
-        self.post(path::KEEP, request, TIMEOUT)
-    }
-
-    /// Ends the train after the current trigger.
-    pub fn stop(&self, session_id: u64) -> Result<(), Fault> {
-        self.post(path::STOP, &SessionCommand { session_id, reason: None }, TIMEOUT)
-    }
-
-    /// Gives the session up.
-    pub fn abort(&self, session_id: u64, reason: &str) -> Result<(), Fault> {
-        let command = SessionCommand { session_id, reason: Some(reason.to_owned()) };
-        self.post(path::ABORT, &command, TIMEOUT)
-    }
-
-    /// Asks for JSON.
+    /// Sends a GET request, and parses the JSON of the answer.
     pub fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Fault> {
         let answer = self.ask(Method::GET, path, None, TIMEOUT)?;
         if !answer.status.is_success() {
@@ -238,7 +195,7 @@ impl NodeClient {
             Place::Tcp { authority, .. } => authority,
         };
         let mut request = Request::builder().method(method).uri(path).header(HOST, authority);
-        // Over plain TCP whoever has bound the port could be anybody: the secret is proved, and not shown.
+        // Over plain TCP any program could have bound the port: the secret is proved, and not sent.
         let plain = matches!(place, Place::Tcp { tls: false, .. });
         let prover = self.secret.as_ref().filter(|_| plain).map(|secret| Prover { secret, authority });
         if let Some(secret) = self.secret.as_ref().filter(|_| !plain) {
@@ -296,7 +253,7 @@ struct Prover<'a> {
 type Sender = hyper::client::conn::http1::SendRequest<Full<Bytes>>;
 
 impl Prover<'_> {
-    /// Asks for the connection's nonce, then for what is wanted; an answer of somebody else is none.
+    /// Requests the connection's nonce, then sends the request itself; the answer of another program is refused.
     async fn ask(&self, sender: &mut Sender, mut request: Request<Full<Bytes>>) -> Result<Answer, AnyError> {
         let challenge = Request::builder().uri(path::CHALLENGE).header(HOST, self.authority);
         let (challenge, _) = answer_to(sender, challenge.body(Full::default())?).await?;
@@ -308,13 +265,18 @@ impl Prover<'_> {
         let body = request.body().clone().collect().await?.to_bytes();
         let (method, uri) = (request.method().clone(), request.uri().clone());
         let path = uri.path_and_query().map_or("/", |path| path.as_str());
-        let asked =
-            Asked { authority: self.authority, nonce: &nonce, method: method.as_str(), path, body: &body };
-        let shown = authorization(proof::SCHEME, &asked.prove(self.secret))?;
+        let proven = ProvenRequest {
+            authority: self.authority,
+            nonce: &nonce,
+            method: method.as_str(),
+            path,
+            body: &body,
+        };
+        let shown = authorization(proof::SCHEME, &proven.prove(self.secret))?;
         request.headers_mut().insert(AUTHORIZATION, shown);
         sender.ready().await?;
         let (answer, proof) = answer_to(sender, request).await?;
-        let known = proof.is_some_and(|proof| proof == asked.answer(&SecretHash::of(self.secret)));
+        let known = proof.is_some_and(|proof| proof == proven.answer(&SecretHash::of(self.secret)));
         match known || !answer.status.is_success() {
             true => Ok(answer),
             false => {

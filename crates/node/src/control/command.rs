@@ -7,7 +7,7 @@ use crate::base::Fault;
 use std::sync::{Arc, RwLock};
 use tokio::sync::oneshot;
 
-/// Answers a command.
+/// The channel on which the node's thread answers a command.
 pub type Reply<T = ()> = oneshot::Sender<Result<T, Fault>>;
 
 /// What the API asks of the node.
@@ -15,15 +15,12 @@ pub type Reply<T = ()> = oneshot::Sender<Result<T, Fault>>;
 pub enum Command {
     /// Prepare a session; answered when the node is ready.
     Prepare(SessionRequest, Reply),
-    /// Start the train.
     Start(SessionCommand, Reply),
     /// Record what is held, from a trigger on.
     Keep(KeepRequest, Reply),
     /// End the train after the current trigger.
     Stop(SessionCommand, Reply),
-    /// Give the session up.
     Abort(SessionCommand, Reply),
-    /// Set exposure and gain.
     Expose(ExposureRequest, Reply<ExposureSet>),
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What both sides of the HTTP API speak: requests, commands, status, tokens and their proofs, and the client.
 
-/// Speaks to nodes.
+/// The client of other nodes' APIs.
 pub mod client;
 /// What the API asks of the node's thread.
 pub mod command;
@@ -9,7 +9,7 @@ pub mod command;
 pub mod proof;
 /// What an operator asks for.
 pub mod request;
-/// What a node says of itself.
+/// The state of a node, as it reports it.
 pub mod status;
-/// Secrets and their roles.
+/// Tokens: secrets, their hashes and roles.
 pub mod tokens;

@@ -1,39 +1,36 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How a token is shown where others could take it: as a proof, made for one request on one connection.
+//! How a token is shown where others could read it: as a proof, made for one request on one connection.
 //!
-//! Over plain TCP whoever has bound a node's port could be anybody. So a client asks for the connection's nonce first
-//! ([`super::status::path::CHALLENGE`]), and sends `Authorization: Proof HEX` with the request that it is for. HEX is the
-//! secret, masked with a stream that only those can make who know the secret's hash: the node, and its owner. It is
-//! made of the nonce, the node's address as the client has it, the method, the path and the body. What one listener is
-//! shown opens nothing at another, at another time or for another request. The node shows in its answer, with
-//! [`HEADER`], that it knows the hash: nobody else's answer is believed.
+//! Over plain TCP any program could have bound a node's port. So a client requests the connection's nonce first
+//! ([`super::status::path::CHALLENGE`]), and sends `Authorization: Proof HEX` with its request. HEX is the secret,
+//! masked with a stream that only those can make who know the secret's hash: the node, and its owner. It is made of
+//! the nonce, the node's address as the client has it, the method, the path and the body. A proof is of no use at
+//! another address, at another time or for another request. The node proves in its answer, with [`HEADER`], that it
+//! knows the hash: the client refuses any other answer.
 
-use super::tokens::SecretHash;
+use super::tokens::{SecretHash, from_hex, hex};
 use sha2::{Digest, Sha256};
 
-/// The scheme, in `Authorization`.
+/// The scheme of a proof in the `Authorization` header.
 pub const SCHEME: &str = "Proof ";
-/// With which the node shows that it knows the hash.
+/// The header with which the node proves that it knows the hash.
 pub const HEADER: &str = "fourdbody-proof";
-/// Of a secret; as `fourdbody token` reads them.
+/// Longest secret, bytes, as `fourdbody token` reads them.
 const SECRET_BYTES_MAX: usize = 256;
 
 /// The request that a proof is for.
 #[derive(Debug, Clone, Copy)]
-pub struct Asked<'a> {
+pub struct ProvenRequest<'a> {
     /// `HOST:PORT` of the node, as in the `Host` header.
     pub authority: &'a str,
-    /// The connection's.
     pub nonce: &'a str,
-    /// `GET`, `POST`.
     pub method: &'a str,
-    /// With its query.
     pub path: &'a str,
     /// Empty where there is none.
     pub body: &'a [u8],
 }
 
-impl Asked<'_> {
+impl ProvenRequest<'_> {
     /// Parts hold no line breaks, and the lengths of the last two are fixed: two requests never read the same.
     fn text(&self) -> String {
         let body = SecretHash::of_bytes(self.body);
@@ -41,29 +38,21 @@ impl Asked<'_> {
         format!("{}\n{authority}\n{}\n{}\n{body}", self.nonce, self.method, self.path)
     }
 
-    /// What follows [`SCHEME`].
+    /// The proof for this request, which follows [`SCHEME`] in the header.
     pub fn prove(&self, secret: &str) -> String {
-        let masked = self.mask(&SecretHash::of(secret), secret.as_bytes());
-        masked.iter().map(|byte| format!("{byte:02x}")).collect()
+        hex(&self.mask(&SecretHash::of(secret), secret.as_bytes()))
     }
 
     /// Whether this proof was made with the secret of this hash; the secret, then.
     pub fn secret_of(&self, proof: &str, hash: &SecretHash) -> Option<String> {
-        let bytes = proof.as_bytes();
-        if !bytes.len().is_multiple_of(2) || bytes.len() > 2 * SECRET_BYTES_MAX {
-            return None;
-        }
-        let digit = |byte: u8| char::from(byte).to_digit(16).and_then(|digit| u8::try_from(digit).ok());
-        let pair = |pair: &[u8]| Some(digit(pair[0])? << 4 | digit(pair[1])?);
-        let masked = bytes.chunks_exact(2).map(pair).collect::<Option<Vec<u8>>>()?;
+        let masked = from_hex(proof).filter(|masked| masked.len() <= SECRET_BYTES_MAX)?;
         let secret = String::from_utf8(self.mask(hash, &masked)).ok()?;
         SecretHash::of(&secret).is(hash).then_some(secret)
     }
 
-    /// The value of [`HEADER`].
+    /// The value of [`HEADER`], by which the node proves that it knows the hash.
     pub fn answer(&self, hash: &SecretHash) -> String {
-        let shown = hmac(hash.bytes(), format!("answer\n{}", self.text()).as_bytes());
-        shown.iter().map(|byte| format!("{byte:02x}")).collect()
+        hex(&hmac(hash.bytes(), format!("answer\n{}", self.text()).as_bytes()))
     }
 
     fn mask(&self, hash: &SecretHash, bytes: &[u8]) -> Vec<u8> {
@@ -85,12 +74,12 @@ fn hmac(key: &[u8; 32], message: &[u8]) -> [u8; 32] {
 
 #[cfg(test)]
 mod tests {
-    use super::{Asked, hmac};
+    use super::{ProvenRequest, hmac};
     use crate::control::tokens::SecretHash;
     use proptest::prelude::{prop_assert_eq, proptest};
 
-    const ASKED: Asked<'_> =
-        Asked { authority: "node-b:7402", nonce: "n", method: "POST", path: "/x?y", body: b"{}" };
+    const ASKED: ProvenRequest<'_> =
+        ProvenRequest { authority: "node-b:7402", nonce: "n", method: "POST", path: "/x?y", body: b"{}" };
 
     #[test]
     fn it_is_the_hmac_of_the_standard() {
@@ -109,11 +98,11 @@ mod tests {
             prop_assert_eq!(ASKED.secret_of(&proof, &hash), Some(secret.clone()));
             prop_assert_eq!(ASKED.secret_of(&proof, &SecretHash::of(&other)), None);
             for changed in [
-                Asked { authority: "node-a:7401", ..ASKED },
-                Asked { nonce: "m", ..ASKED },
-                Asked { method: "GET", ..ASKED },
-                Asked { path: "/x", ..ASKED },
-                Asked { body: b"", ..ASKED },
+                ProvenRequest { authority: "node-a:7401", ..ASKED },
+                ProvenRequest { nonce: "m", ..ASKED },
+                ProvenRequest { method: "GET", ..ASKED },
+                ProvenRequest { path: "/x", ..ASKED },
+                ProvenRequest { body: b"", ..ASKED },
             ] {
                 prop_assert_eq!(changed.secret_of(&proof, &hash), None);
             }

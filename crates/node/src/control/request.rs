@@ -12,22 +12,22 @@ use std::str::FromStr;
 pub struct SessionRequest {
     /// The same on both nodes, random.
     pub session_id: u64,
-    /// Also the session's directory.
+    /// The session's name, and the name of its directory.
     pub name: String,
     /// Exactly this many triggers; 0: until stopped.
     pub triggers: u64,
     /// The nodes that take part: the HSU starts only when all of them have armed.
     #[schema(value_type = Vec<String>)]
     pub nodes: Vec<NodeId>,
-    /// Pseudonymous.
+    /// A pseudonym of the subject, never a name.
     pub subject: Option<String>,
-    /// Free text.
+    /// A free text of the operator.
     pub note: Option<String>,
     /// The train starts at this edge of one of the HSU's inputs, not at once.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start_on: Option<StartOn>,
-    /// So many triggers before Record are kept: the train starts, frames are held in memory, and nothing is written before it.
-    /// 0: the recording begins with the train.
+    /// Number of triggers before Record that are kept: the train starts, frames are held in memory, and nothing is
+    /// written before it. 0: the recording begins with the train.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub pre_triggers: u64,
     /// Everything but the recording: frames are counted and judged, nothing is written.
@@ -38,12 +38,12 @@ pub struct SessionRequest {
     pub on_behalf_of: Option<String>,
 }
 
-fn is_zero(number: &u64) -> bool {
+pub(crate) fn is_zero(number: &u64) -> bool {
     *number == 0
 }
 
 impl SessionRequest {
-    /// The session's name, if everything that was asked for may be recorded; or why not.
+    /// The session's name, if the whole request may be recorded; or why not.
     pub fn check(&self) -> Result<SessionName, String> {
         for (what, text) in [("subject", &self.subject), ("note", &self.note)] {
             text.as_ref().map_or(Ok(()), |text| check_text(what, text))?;
@@ -63,7 +63,7 @@ impl SessionRequest {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct KeepRequest {
-    /// The session.
+    /// The id of the session.
     pub session_id: u64,
     /// The trigger of the train that becomes the recording's trigger 0: the same on all nodes.
     pub first: u64,
@@ -78,7 +78,7 @@ pub struct StartOn {
     /// The input, 0 to 7.
     #[schema(maximum = 7)]
     pub line: u8,
-    /// From low to high.
+    /// Whether the edge goes from low to high.
     #[serde(default = "rising")]
     pub rising: bool,
 }
@@ -88,7 +88,6 @@ fn rising() -> bool {
 }
 
 impl StartOn {
-    /// The HSU's inputs.
     pub const LINES: u8 = crate::hsu::INPUTS as u8;
 }
 
@@ -101,7 +100,7 @@ impl fmt::Display for StartOn {
 impl FromStr for StartOn {
     type Err = String;
 
-    /// `2`, `2:rising` or `2:falling`.
+    /// Accepts `2`, `2:rising` or `2:falling`, with 2 for any input.
     fn from_str(text: &str) -> Result<Self, String> {
         let (line, rising) = match text.split_once(':') {
             None => (text, true),
@@ -144,7 +143,7 @@ impl ExposureRequest {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
-    /// No session.
+    /// The node is in no session.
     Idle,
     /// Opening cameras, creating the recording, starting streams, arming the HSU.
     Preparing,

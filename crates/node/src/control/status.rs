@@ -15,15 +15,16 @@ use std::path::PathBuf;
 use std::time::Instant;
 use utoipa::ToSchema;
 
-/// Everything that a node tells of itself.
+/// The state of a node, its devices and its session. The node's thread publishes it after every event; the API adds
+/// the age, the warnings and the judgements.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NodeStatus {
     /// Its name in the rig.
     #[schema(value_type = String)]
     pub node: NodeId,
-    /// Software version.
+    /// The version of the program.
     pub version: String,
-    /// The rig's name.
+    /// The name of the rig in its file.
     pub rig: String,
     /// Triggers per second, by the rig.
     pub trigger_rate_hz: f64,
@@ -36,13 +37,13 @@ pub struct NodeStatus {
     pub cameras: Vec<CameraStatus>,
     /// Its link to the HSU.
     pub hsu: HsuStatus,
-    /// What was asked of the system and refused (real-time priority, locked memory): the node works without.
+    /// Requests to the system that it refused (real-time priority, locked memory): the node works without.
     #[serde(default)]
     pub warnings: Vec<String>,
-    /// Where sessions are recorded.
+    /// The directory in which sessions are recorded.
     #[schema(value_type = String)]
     pub sessions_dir: PathBuf,
-    /// Free space there, bytes.
+    /// Free space in that directory, bytes.
     pub free_bytes: u64,
     /// Recordings of this node that were found unfinished when it started.
     #[serde(default)]
@@ -58,17 +59,17 @@ pub struct NodeStatus {
     /// How old all this is, s: a device that does not answer keeps the node's thread for some seconds.
     #[serde(default)]
     pub age_s: f64,
-    /// When the node's thread last said all this.
+    /// When the node's thread last published all this.
     #[serde(skip)]
     pub published: Option<Instant>,
 }
 
-/// What a worker does.
+/// The state of the worker on this machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct WorkerStatus {
     /// For people: on what it is, how far, how much waits.
     pub line: String,
-    /// Whether it has been heard of.
+    /// Whether the worker runs, by the age of its last report.
     pub running: bool,
     /// Sessions that it has set aside, each with the reason.
     pub set_aside: Vec<(String, String)>,
@@ -84,20 +85,20 @@ pub enum CalibrationLight {
     Amber,
     /// One has turned by more than it may: calibrate again.
     Red,
-    /// It is not known.
+    /// The calibration was not checked.
     Grey,
 }
 
 /// What is known of the calibration during a session.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct SessionLight {
-    /// The session's name.
+    /// The name of the session.
     pub session: String,
     /// The id that its recordings share; `None`: whatever has this name.
     pub session_id: Option<String>,
-    /// At a glance.
+    /// The result of the check as a colour.
     pub light: CalibrationLight,
-    /// In a sentence.
+    /// The result of the check in a sentence.
     pub said: String,
 }
 
@@ -115,7 +116,7 @@ pub struct CalibrationLights {
 /// Whether a session can be played.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct PlayableTake {
-    /// The session's name.
+    /// The name of the session.
     pub session: String,
     /// The id that its recordings share; `None`: whatever has this name.
     pub session_id: Option<String>,
@@ -144,31 +145,31 @@ impl NodeStatus {
     }
 }
 
-/// One camera.
+/// The state of one camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CameraStatus {
     /// Its name in the rig.
     #[schema(value_type = String)]
     pub id: CameraId,
-    /// As configured.
+    /// The camera's address in the node file.
     pub address: String,
     /// Who it is, once opened.
     pub identity: Option<CameraIdentity>,
     /// Why it is not usable; `None` when it is.
     pub problem: Option<String>,
-    /// What it is asked for.
+    /// The exposure and gain that it has to use.
     #[serde(default)]
     pub exposure: Option<ExposureNow>,
 }
 
-/// The exposure and gain that a camera is asked for.
+/// The exposure and gain that a camera has to use.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ExposureNow {
-    /// The camera's head.
+    /// The head that the camera belongs to.
     pub head: String,
     /// Exposure, microseconds; `None`: the node file leaves it to raw settings.
     pub exposure_us: Option<f64>,
-    /// Gain, decibels; likewise.
+    /// Gain, decibels; `None`: the node file leaves it to raw settings.
     pub gain_db: Option<f64>,
     /// The longest exposure that ends within the trigger period, microseconds.
     pub most_us: f64,
@@ -176,7 +177,7 @@ pub struct ExposureNow {
     pub differs: bool,
 }
 
-/// What was set.
+/// The result of setting exposure and gain.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ExposureSet {
     /// The cameras of this node.
@@ -189,15 +190,15 @@ pub struct CameraExposure {
     /// Its name in the rig.
     #[schema(value_type = String)]
     pub id: CameraId,
-    /// Asked for, microseconds.
+    /// The requested exposure time, microseconds.
     pub exposure_us: f64,
-    /// Asked for, decibels.
+    /// The gain that was requested, decibels.
     pub gain_db: f64,
-    /// The camera's own features of both, as asked for and as read back.
+    /// The camera's own features of both, as requested and as read back.
     pub taken: Vec<AppliedSetting>,
     /// What the camera rounded, and what was found otherwise and mended.
     pub told: Vec<String>,
-    /// All that was set.
+    /// All settings of the camera, as read back.
     #[serde(skip)]
     pub settings: Vec<AppliedSetting>,
 }
@@ -205,7 +206,7 @@ pub struct CameraExposure {
 /// The link to the HSU.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct HsuStatus {
-    /// Serial device, as configured.
+    /// The serial device in the node file.
     #[schema(value_type = String)]
     pub device: PathBuf,
     /// Who it is, once connected.
@@ -219,19 +220,19 @@ pub struct HsuStatus {
 pub struct SessionStatus {
     /// The same on both nodes.
     pub session_id: u64,
-    /// As asked for.
+    /// The session's name, as requested.
     pub name: String,
     /// The nodes that take part.
     #[serde(default)]
     #[schema(value_type = Vec<String>)]
     pub nodes: Vec<NodeId>,
-    /// This node's recording.
+    /// The directory of this node's recording.
     #[schema(value_type = String)]
     pub directory: PathBuf,
     /// Nothing was written: `directory` does not exist.
     #[serde(default)]
     pub dry_run: bool,
-    /// Triggers asked for; 0: until stopped.
+    /// Number of requested triggers; 0: until stopped.
     pub triggers_asked: u64,
     /// Triggers that the HSU reported so far; before Record 0, and then those from the recording's first on.
     pub triggers: u64,
@@ -257,7 +258,7 @@ pub struct SessionStatus {
     /// From the stream until the writer had taken the frame.
     #[serde(default)]
     pub total: Latency,
-    /// What whoever captures must know at once; it holds as long as it stands here.
+    /// Notices that the operator must see at once; each holds as long as it is listed here.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub notices: Vec<String>,
     /// Set when the session has ended on this node.
@@ -267,11 +268,11 @@ pub struct SessionStatus {
 /// Triggers of the train whose frames are held in memory until Record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Held {
-    /// The oldest.
+    /// The index of the oldest held trigger.
     pub oldest: u64,
     /// One more than the newest.
     pub end: u64,
-    /// So many are to be kept before Record.
+    /// Number of triggers that are to be kept before Record.
     pub asked: u64,
 }
 
@@ -283,9 +284,9 @@ pub struct CameraProgress {
     pub id: CameraId,
     /// Frames handed to the writer.
     pub frames: u64,
-    /// Gap records so far.
+    /// Gap records written so far.
     pub gaps: u64,
-    /// Nothing has been heard of it for some triggers: long before the camera counts as lost.
+    /// No packet has arrived from it for some triggers: long before the camera counts as lost.
     #[serde(default)]
     pub silent: bool,
 }
@@ -296,7 +297,7 @@ pub struct CameraProgress {
 pub enum Outcome {
     /// There is a recording, and this is its verdict.
     Recorded(serde_json::Value),
-    /// There is none.
+    /// There is no recording, for this reason.
     Failed(Fault),
 }
 
@@ -318,14 +319,14 @@ impl Outcome {
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SessionCommand {
-    /// As in the request.
+    /// The id of the session, as in the request that prepared it.
     pub session_id: u64,
-    /// For an abort.
+    /// Why the session is aborted; stored in the recording.
     #[serde(default)]
     pub reason: Option<String>,
 }
 
-/// How somebody showed who they are.
+/// How a client showed who it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Via {
@@ -342,13 +343,13 @@ pub enum Via {
 /// Whether the node can take a session.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Health {
-    /// It can.
+    /// Whether a session could start now.
     pub healthy: bool,
-    /// Why it cannot.
+    /// Everything that keeps a session from starting.
     pub reasons: Vec<String>,
 }
 
-/// The node's devices.
+/// The node's cameras and its link to the HSU.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Devices {
     /// Its cameras, in the rig's order.
@@ -362,21 +363,21 @@ pub struct Devices {
 pub struct Settings {
     /// The node's name in the rig.
     pub node: String,
-    /// The rig's name.
+    /// The name of the rig in its file.
     pub rig: String,
-    /// Triggers per second.
+    /// Triggers a second, by the rig file.
     pub trigger_rate_hz: f64,
-    /// Where sessions are recorded.
+    /// The directory in which sessions are recorded.
     pub sessions_dir: String,
     /// The disk is never filled beyond this many free bytes.
     pub reserve_bytes: u64,
     /// A segment is closed at the first trigger after this many bytes.
     pub segment_bytes: u64,
-    /// Frame buffers per camera.
+    /// Number of frame buffers of each camera.
     pub buffers_per_camera: usize,
-    /// GVSP packet size, bytes.
+    /// Size of the GVSP packets, bytes.
     pub packet_bytes: u32,
-    /// How packets are received.
+    /// The kind of socket that receives packets.
     pub socket: SocketMode,
     /// Before arming no camera may send for this long.
     pub silence_gate_ms: u64,
@@ -390,23 +391,23 @@ pub struct Settings {
     pub cameras: Vec<CameraSettings>,
 }
 
-/// One camera's settings.
+/// The settings of one camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CameraSettings {
     /// Its name in the rig.
     #[schema(value_type = String)]
     pub id: CameraId,
-    /// As configured.
+    /// The camera's address in the node file.
     pub address: String,
     /// Columns and rows of its images, by the rig.
     pub size: [usize; 2],
-    /// What the node file says, in its words and in raw settings; a word stands under its own name.
+    /// The settings of the node file, its words and raw settings; a word stands under its own name.
     pub configured: Vec<FeatureSetting>,
     /// As read back when a session was last prepared; none before the first.
     pub read_back: Option<Vec<AppliedSetting>>,
 }
 
-/// All metrics.
+/// All metrics of the node as JSON.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Metrics {
     /// The same families as in the text for Prometheus.
@@ -418,7 +419,7 @@ pub struct Metrics {
 pub struct Identity {
     /// The token's name, `uid N` of the Unix socket, or the address.
     pub name: String,
-    /// What they may do.
+    /// The role, which decides what the caller may do.
     pub role: Role,
     /// How they showed who they are.
     pub via: Via,
@@ -427,7 +428,7 @@ pub struct Identity {
 /// What a proof of a token is made for (`docs/design/api.md`).
 #[derive(Debug, Clone, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Challenge {
-    /// Of this connection alone.
+    /// A random number of this connection alone.
     pub nonce: String,
 }
 
@@ -439,7 +440,7 @@ pub struct Login {
     pub token: String,
 }
 
-/// A capture has begun.
+/// The number of a capture that has begun.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct CaptureBegun {
     /// Counts the captures that the node has run since it started.
@@ -449,7 +450,7 @@ pub struct CaptureBegun {
 /// A name under which nothing is recorded at the node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct FreeName {
-    /// The name that was asked for, or the first number after it that is free.
+    /// The requested name, or the first number after it that is free.
     pub name: String,
 }
 
@@ -457,7 +458,7 @@ pub struct FreeName {
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AbortReason {
-    /// Kept in the recording.
+    /// The reason, which is stored in the recording.
     #[serde(default)]
     pub reason: Option<String>,
 }
@@ -468,11 +469,11 @@ pub struct PeerState {
     /// Its name in the rig.
     #[schema(value_type = String)]
     pub name: NodeId,
-    /// Where it is.
+    /// The URL of the node's API.
     pub url: String,
-    /// What it told.
+    /// The status of the node, where it answered.
     pub status: Option<NodeStatus>,
-    /// Why it told nothing.
+    /// Why there is no status of it.
     pub problem: Option<String>,
 }
 
@@ -480,15 +481,12 @@ pub struct PeerState {
 pub mod path {
     /// GET: the capture that the node runs; POST [`crate::capture::series::Series`]: begins one.
     pub const CAPTURE: &str = "/api/v1/capture";
-    /// POST.
     pub const CAPTURE_STOP: &str = "/api/v1/capture/stop";
     /// POST: keeps what is held, and records.
     pub const CAPTURE_RECORD: &str = "/api/v1/capture/record";
-    /// POST [`super::AbortReason`].
     pub const CAPTURE_ABORT: &str = "/api/v1/capture/abort";
     /// GET: what is known of all cameras' pictures.
     pub const PREVIEWS: &str = "/api/v1/previews";
-    /// GET: a PNG.
     pub const PICTURE: &str = "/api/v1/previews/{camera}";
     /// GET: the newest frame set as points.
     pub const LIVE: &str = "/api/v1/live";
@@ -496,7 +494,6 @@ pub mod path {
     pub const LIVE_ROWS: &str = "/api/v1/live/rows/{trigger}";
     /// GET: what the node has recorded.
     pub const SESSIONS: &str = "/api/v1/sessions";
-    /// GET: one recording.
     pub const SESSION: &str = "/api/v1/sessions/{name}";
     /// GET [`super::FreeName`]: this name, or the first number after it that is free.
     pub const FREE_NAME: &str = "/api/v1/sessions/{name}/free";
@@ -504,75 +501,43 @@ pub mod path {
     pub const REMARK: &str = "/api/v1/sessions/{name}/remark";
     /// GET: how far the look is; POST: asks for one.
     pub const QUICK_LOOK: &str = "/api/v1/sessions/{name}/quick-look";
-    /// GET: points.
     pub const QUICK_LOOK_CLOUD: &str = "/api/v1/sessions/{name}/quick-look/{trigger}";
     /// GET [`super::PlayableTakes`]: what the worker has reconstructed.
     pub const PLAYABLE: &str = "/api/v1/playable";
-    /// GET: the same of another node's worker.
-    pub const PEER_PLAYABLE: &str = "/api/v1/peers/{peer}/playable";
     /// GET [`crate::play::Described`]: what a player must know.
     pub const FRAME_SETS: &str = "/api/v1/sessions/{name}/frame-sets";
-    /// GET: the same from another node.
-    pub const PEER_FRAME_SETS: &str = "/api/v1/peers/{peer}/sessions/{name}/frame-sets";
-    /// GET: packed points.
     pub const FRAME_SET: &str = "/api/v1/sessions/{name}/frame-sets/{trigger}";
-    /// GET: the same from another node.
-    pub const PEER_FRAME_SET: &str = "/api/v1/peers/{peer}/sessions/{name}/frame-sets/{trigger}";
     /// GET: what the worker found of the calibration.
     pub const CALIBRATION_LIGHTS: &str = "/api/v1/calibration-lights";
-    /// GET: the same of another node's worker.
-    pub const PEER_CALIBRATION_LIGHTS: &str = "/api/v1/peers/{peer}/calibration-lights";
     /// GET: the plot of the worker's history.
     pub const CALIBRATION_PLOT: &str = "/api/v1/calibration-lights/plot";
-    /// GET: the same of another node's worker.
-    pub const PEER_CALIBRATION_PLOT: &str = "/api/v1/peers/{peer}/calibration-lights/plot";
     /// POST: exposure and gain of heads.
     pub const EXPOSURE: &str = "/api/v1/exposure";
     /// POST: the same at another node.
     pub const PEER_EXPOSURE: &str = "/api/v1/peers/{peer}/exposure";
-    /// GET: the other nodes.
     pub const PEERS: &str = "/api/v1/peers";
-    /// GET: pictures of another node's cameras.
-    pub const PEER_PREVIEWS: &str = "/api/v1/peers/{peer}/previews";
-    /// GET: a PNG.
-    pub const PEER_PICTURE: &str = "/api/v1/peers/{peer}/previews/{camera}";
-    /// GET: what another node has recorded.
-    pub const PEER_SESSIONS: &str = "/api/v1/peers/{peer}/sessions";
     /// POST [`crate::record::remark::Remark`]: the same for another node's recording.
     pub const PEER_REMARK: &str = "/api/v1/peers/{peer}/sessions/{name}/remark";
     /// GET: how far another node's look is; POST: asks it for one.
     pub const PEER_QUICK_LOOK: &str = "/api/v1/peers/{peer}/sessions/{name}/quick-look";
-    /// GET: points.
-    pub const PEER_QUICK_LOOK_CLOUD: &str = "/api/v1/peers/{peer}/sessions/{name}/quick-look/{trigger}";
-    /// GET: [`super::NodeStatus`].
     pub const STATUS: &str = "/api/v1/status";
     /// POST [`crate::control::request::SessionRequest`]: answers when the node is ready, or why it is not.
     pub const PREPARE: &str = "/api/v1/session/prepare";
-    /// POST [`super::SessionCommand`].
     pub const START: &str = "/api/v1/session/start";
-    /// POST [`super::request::KeepRequest`].
     pub const KEEP: &str = "/api/v1/session/keep";
-    /// POST [`super::SessionCommand`].
     pub const STOP: &str = "/api/v1/session/stop";
-    /// POST [`super::SessionCommand`].
     pub const ABORT: &str = "/api/v1/session/abort";
     /// GET [`super::Challenge`]: what a proof of a token is made for, for clients over plain TCP.
     pub const CHALLENGE: &str = "/api/v1/challenge";
-    /// POST [`super::Login`]: a cookie.
     pub const LOGIN: &str = "/api/v1/login";
-    /// POST: ends the login.
     pub const LOGOUT: &str = "/api/v1/logout";
-    /// GET: [`super::Identity`].
     pub const IDENTITY: &str = "/api/v1/identity";
     /// GET: [`super::Health`]; 503 when a session could not start.
     pub const HEALTH: &str = "/api/v1/health";
-    /// GET: [`super::Devices`].
     pub const DEVICES: &str = "/api/v1/devices";
-    /// GET: [`super::Settings`].
     pub const SETTINGS: &str = "/api/v1/settings";
     /// GET: metrics as Prometheus reads them.
     pub const METRICS: &str = "/api/v1/metrics";
-    /// GET: [`super::Metrics`].
     pub const METRICS_JSON: &str = "/api/v1/metrics.json";
     /// GET: the API's description (OpenAPI).
     pub const OPENAPI: &str = "/api/v1/openapi.json";

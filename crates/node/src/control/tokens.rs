@@ -1,25 +1,26 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Tokens: secrets of 256 bits in files that only their owner can read, and the node's list of their hashes.
 //!
-//! A node's list has a line `NAME ROLE SHA256` per token; the secret itself lies only with whoever uses it. A secret
+//! A node's list has a line `NAME ROLE SHA256` per token; only its user has the secret itself. A secret
 //! has 256 random bits, so that a plain hash of it cannot be reversed by guessing.
 
-use crate::base::regular;
+use crate::base::{Exit, Fault, regular};
+use serde::de::IntoDeserializer;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::fmt;
 use std::fs::OpenOptions;
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::str::FromStr;
 use subtle::ConstantTimeEq;
 
-/// What somebody may do.
+/// What the bearer of a token may do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
-    /// Look.
+    /// Read everything, and change nothing.
     View,
     /// Also prepare, start, stop and abort sessions.
     Operate,
@@ -30,10 +31,6 @@ pub enum Role {
 }
 
 impl Role {
-    /// All, with their words.
-    pub const ALL: [(Self, &'static str); 4] =
-        [(Self::View, "view"), (Self::Operate, "operate"), (Self::Admin, "admin"), (Self::Peer, "peer")];
-
     /// Whether this role may do what `needed` may.
     pub fn may(self, needed: Self) -> bool {
         let rank = |role| match role {
@@ -47,8 +44,7 @@ impl Role {
 
 impl fmt::Display for Role {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let word = Self::ALL.iter().find(|(role, _)| role == self).map_or("", |(_, word)| word);
-        f.write_str(word)
+        self.serialize(f)
     }
 }
 
@@ -56,8 +52,8 @@ impl FromStr for Role {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let found = Self::ALL.iter().find(|(_, word)| *word == text).map(|(role, _)| *role);
-        found.ok_or_else(|| format!("expected a role (view, operate, admin or peer), found {text:?}"))
+        let role: Result<Self, serde::de::value::Error> = Self::deserialize(text.into_deserializer());
+        role.map_err(|_| format!("expected a role (view, operate, admin or peer), found {text:?}"))
     }
 }
 
@@ -71,46 +67,50 @@ impl SecretHash {
         Self::of_bytes(secret.as_bytes())
     }
 
-    /// The hash of anything.
+    /// The SHA-256 of any bytes.
     pub(crate) fn of_bytes(bytes: &[u8]) -> Self {
         Self(Sha256::digest(bytes).into())
     }
 
-    /// As a key.
+    /// The hash as the key of an HMAC.
     pub(crate) fn bytes(&self) -> &[u8; 32] {
         &self.0
     }
 
-    /// Compares in constant time.
+    /// Compares two hashes in constant time.
     pub fn is(&self, other: &Self) -> bool {
         self.0.ct_eq(&other.0).into()
     }
 
     fn parse(text: &str) -> Option<Self> {
-        let bytes = text.as_bytes();
-        let mut hash = [0; 32];
-        if bytes.len() != 64 {
-            return None;
-        }
-        for (byte, pair) in hash.iter_mut().zip(bytes.chunks_exact(2)) {
-            let text = std::str::from_utf8(pair).ok().filter(|t| t.chars().all(|c| c.is_ascii_hexdigit()))?;
-            *byte = u8::from_str_radix(text, 16).ok()?;
-        }
-        Some(Self(hash))
+        from_hex(text)?.try_into().ok().map(Self)
     }
 }
 
 impl fmt::Display for SecretHash {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+        f.write_str(&hex(&self.0))
     }
+}
+
+/// Bytes as hexadecimal digits, two each.
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The bytes of hexadecimal digits, two each.
+pub(crate) fn from_hex(text: &str) -> Option<Vec<u8>> {
+    let digit = |byte: u8| char::from(byte).to_digit(16).and_then(|digit| u8::try_from(digit).ok());
+    let (pairs, rest) = text.as_bytes().as_chunks::<2>();
+    let bytes = pairs.iter().map(|&[high, low]| Some(digit(high)? << 4 | digit(low)?));
+    rest.is_empty().then(|| bytes.collect())?
 }
 
 /// 256 random bits in hexadecimal.
 pub fn random_text() -> io::Result<String> {
     let mut bytes = [0; 32];
     getrandom::fill(&mut bytes).map_err(io::Error::other)?;
-    Ok(bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(hex(&bytes))
 }
 
 /// One line of a node's list.
@@ -120,65 +120,31 @@ pub struct Token {
     pub name: String,
     /// What its bearer may do.
     pub role: Role,
-    /// Of the secret.
     pub hash: SecretHash,
 }
 
-/// Why tokens or a secret cannot be read or written.
-#[derive(Debug, thiserror::Error)]
-pub enum TokenError {
-    /// The system refused.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// Others can read or change the file.
-    #[error(
-        "{path}: its mode is {mode:o}, expected 600: others could read it; `chmod 600` it, and renew what was in it"
-    )]
-    Wide {
-        /// The file.
-        path: PathBuf,
-        /// Its permissions.
-        mode: u32,
-    },
-    /// A line that is no token.
-    #[error("{path}:{line}: expected NAME ROLE SHA256, {problem}")]
-    Line {
-        /// The file.
-        path: PathBuf,
-        /// 1-based.
-        line: usize,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// A file that holds no secret.
-    #[error(
-        "{path}: expected one line with a token of 32 to 256 characters, as `fourdbody token new` writes it"
-    )]
-    NoSecret {
-        /// The file.
-        path: PathBuf,
-    },
+/// The fault of a file of tokens, or of one with a secret.
+fn wrong(path: &Path, what: impl fmt::Display) -> Fault {
+    Fault::new(Exit::Usage, format!("{}: {what}", path.display()))
 }
 
-/// A node's list.
+/// The list of a node's tokens.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct TokenList(pub Vec<Token>);
 
 impl TokenList {
     /// Reads a list that only its owner can read.
-    pub fn load(path: &Path) -> Result<Self, TokenError> {
+    pub fn load(path: &Path) -> Result<Self, Fault> {
         let text = read_private(path)?;
         let mut tokens: Vec<Token> = Vec::new();
         for (line, text) in (1..).zip(text.lines()).filter(|(_, text)| is_entry(text)) {
-            let wrong = |problem| TokenError::Line { path: path.to_owned(), line, problem };
-            let token = parse_line(text).map_err(wrong)?;
+            let refused = |problem: String| {
+                let expected = "expected NAME ROLE SHA256";
+                Fault::new(Exit::Usage, format!("{}:{line}: {expected}, {problem}", path.display()))
+            };
+            let token = parse_line(text).map_err(refused)?;
             if tokens.iter().any(|other| other.name == token.name) {
-                return Err(wrong(format!("found {} a second time", token.name)));
+                return Err(refused(format!("found {} a second time", token.name)));
             }
             tokens.push(token);
         }
@@ -186,7 +152,7 @@ impl TokenList {
     }
 
     /// Writes the list, mode 0600; what was there is replaced as a whole.
-    pub fn save(&self, path: &Path) -> Result<(), TokenError> {
+    pub fn save(&self, path: &Path) -> Result<(), Fault> {
         let mut text = String::from("# name role sha256-of-the-token; see `fourdbody token --help`\n");
         for Token { name, role, hash } in &self.0 {
             text += &format!("{name} {role} {hash}\n");
@@ -194,7 +160,7 @@ impl TokenList {
         write_private(path, &text, true)
     }
 
-    /// Whose secret this is. Every entry is compared, so that the time tells nothing.
+    /// The token with this secret. Every entry is compared, so that the time reveals nothing.
     pub fn bearer(&self, secret: &str) -> Option<&Token> {
         let hash = SecretHash::of(secret);
         self.0.iter().fold(None, |found, token| if token.hash.is(&hash) { Some(token) } else { found })
@@ -223,22 +189,27 @@ pub fn token_name(text: &str) -> Result<String, String> {
 }
 
 /// Reads a secret that only its owner can read.
-pub fn read_secret(path: &Path) -> Result<String, TokenError> {
+pub fn read_secret(path: &Path) -> Result<String, Fault> {
     let text = read_private(path)?;
     let secret = text.trim();
-    let fits = (32..=256).contains(&secret.len()) && secret.chars().all(|c| c.is_ascii_graphic());
-    if fits { Ok(secret.to_owned()) } else { Err(TokenError::NoSecret { path: path.to_owned() }) }
+    if (32..=256).contains(&secret.len()) && secret.chars().all(|c| c.is_ascii_graphic()) {
+        return Ok(secret.to_owned());
+    }
+    let expected =
+        "expected one line with a token of 32 to 256 characters, as `fourdbody token new` writes it";
+    Err(wrong(path, expected))
 }
 
 const PRIVATE_BYTES_MAX: u64 = 1 << 20;
 
-/// Reads a file that nobody but its owner may read or write.
-pub fn read_private(path: &Path) -> Result<String, TokenError> {
-    let failed = |source| TokenError::Io { path: path.to_owned(), source };
+/// Reads a file that only its owner may read or write.
+pub fn read_private(path: &Path) -> Result<String, Fault> {
+    let failed = |e: io::Error| wrong(path, e);
     let file = regular::open(path).map_err(failed)?;
     let mode = file.metadata().map_err(failed)?.mode() & 0o7777;
     if mode & 0o077 != 0 {
-        return Err(TokenError::Wide { path: path.to_owned(), mode });
+        let found = format!("its mode is {mode:o}, expected 600: others could read it");
+        return Err(wrong(path, format!("{found}; `chmod 600` it, and renew the token in it")));
     }
     let mut text = String::new();
     file.take(PRIVATE_BYTES_MAX).read_to_string(&mut text).map_err(failed)?;
@@ -246,8 +217,8 @@ pub fn read_private(path: &Path) -> Result<String, TokenError> {
 }
 
 /// Writes a file with mode 0600, whole or not at all; with `replace` one that is there gives way.
-pub fn write_private(path: &Path, text: &str, replace: bool) -> Result<(), TokenError> {
-    let failed = |source| TokenError::Io { path: path.to_owned(), source };
+pub fn write_private(path: &Path, text: &str, replace: bool) -> Result<(), Fault> {
+    let failed = |e: io::Error| wrong(path, e);
     if !replace && path.exists() {
         return Err(failed(io::ErrorKind::AlreadyExists.into()));
     }
@@ -272,7 +243,7 @@ pub fn write_private(path: &Path, text: &str, replace: bool) -> Result<(), Token
 
 #[cfg(test)]
 mod tests {
-    use super::{Role, SecretHash, Token, TokenError, TokenList, random_text, read_secret, write_private};
+    use super::{Role, SecretHash, Token, TokenList, random_text, read_secret, write_private};
     use proptest::prelude::{prop_assert, proptest};
     use std::os::unix::fs::PermissionsExt;
 
@@ -289,7 +260,8 @@ mod tests {
         list().save(&path).expect("writable");
         assert_eq!(TokenList::load(&path).expect("readable"), list());
         std::fs::set_permissions(&path, PermissionsExt::from_mode(0o640)).expect("mine");
-        assert!(matches!(TokenList::load(&path), Err(TokenError::Wide { mode: 0o640, .. })));
+        let wide = TokenList::load(&path).expect_err("refused");
+        assert!(wide.message.contains("mode is 640, expected 600"), "{wide:?}");
         assert!(!format!("{list:?}", list = list()).contains("secret-1"));
     }
 
@@ -306,7 +278,7 @@ mod tests {
             (&format!("a view {hash}\na view {hash}"), "second time"),
         ] {
             write_private(&path, &format!("# comment\n\n{line}\n"), true).expect("writable");
-            let error = TokenList::load(&path).expect_err("refused").to_string();
+            let error = TokenList::load(&path).expect_err("refused").message;
             assert!(error.contains(words) && error.contains("tokens:"), "{error}");
         }
     }
@@ -321,9 +293,10 @@ mod tests {
         assert_eq!(read_secret(&path).expect("readable"), one);
         assert!(write_private(&path, &two, false).is_err(), "nothing is overwritten unasked");
         std::fs::set_permissions(&path, PermissionsExt::from_mode(0o604)).expect("mine");
-        assert!(matches!(read_secret(&path), Err(TokenError::Wide { .. })));
+        assert!(read_secret(&path).is_err_and(|fault| fault.message.contains("mode is 604")));
         write_private(&dir.path().join("short"), "hunter2", false).expect("writable");
-        assert!(matches!(read_secret(&dir.path().join("short")), Err(TokenError::NoSecret { .. })));
+        let short = read_secret(&dir.path().join("short"));
+        assert!(short.is_err_and(|fault| fault.message.contains("a token of 32 to 256 characters")));
     }
 
     #[test]

@@ -11,18 +11,18 @@ use crate::reconstruct::Reconstructor;
 use crate::reconstruct::outcome::Outcome;
 use serde::Serialize;
 
-/// Points of all cameras that a browser gets at most.
+/// Most points of all cameras that a browser receives.
 pub const POINTS_MAX: usize = 48_000;
 
 /// How a camera sees the body.
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct CameraShare {
-    /// The camera.
+    /// The name of the camera in the rig.
     #[schema(value_type = String)]
     pub camera: CameraId,
     /// Pixels that show the object, of the rows that were looked at.
     pub lit: usize,
-    /// Those that became points.
+    /// Those of the lit pixels that became points.
     pub points: usize,
     /// Why no point can be trusted.
     pub refused: Option<String>,
@@ -31,7 +31,6 @@ pub struct CameraShare {
 /// One frame set as points.
 #[derive(Debug, Clone, Default)]
 pub struct Body {
-    /// As [`quick_look::encode`] has them.
     pub points: Vec<u8>,
     /// One entry for each camera that had a frame.
     pub cameras: Vec<CameraShare>,

@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which triggers a node samples for the live body, and the rows of the last ones: pure, times are given, on any clock that
-//! does not jump.
+//! Which triggers a node samples for the live body, and the rows of the last ones: pure, times are given, on any clock
+//! that does not jump.
 //!
-//! Nodes agree without a word: triggers that are multiples of a stride are sampled. Numbers begin anew with each session,
-//! so whatever is older than a pause between sessions is neither given nor waited for.
+//! Nodes need no message to agree: triggers that are multiples of a stride are sampled. Numbers begin anew with each
+//! session, so frames that are older than a pause between sessions are neither returned nor waited for.
 
 use crate::acquire::preview::Sample;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// Frame sets a second that are sampled at most.
+/// Most frame sets that are sampled in a second.
 const MOST_PER_S: f64 = 15.0;
-/// Triggers whose rows are kept.
+/// Number of triggers whose rows are kept.
 const KEPT: usize = 6;
 
 /// The rows of some cameras, by their place.
@@ -23,10 +23,10 @@ pub(super) struct Kept {
     stride: u64,
     /// Frames so far apart are not of one session, ns.
     apart_ns: u64,
-    /// By trigger, oldest first.
+    /// The last frame sets by trigger, oldest first.
     sets: VecDeque<Set>,
     wishes: Vec<Wish>,
-    /// Memory that came back.
+    /// Samples whose memory can be used again.
     spares: Vec<Sample>,
 }
 
@@ -41,8 +41,8 @@ struct Set {
 #[derive(Debug, Clone, Copy, Default)]
 struct Wish {
     from: u64,
-    /// When it was told, ns; none as long as it was not.
-    told_ns: Option<u64>,
+    /// When the request was sent, ns; `None` before that.
+    requested_ns: Option<u64>,
 }
 
 impl Kept {
@@ -57,21 +57,21 @@ impl Kept {
         }
     }
 
-    /// From which trigger on a frame of a camera is wanted, where that is to be told now.
+    /// From which trigger on the next frame of a camera is wanted, where that has to be requested now.
     pub(super) fn wish(&mut self, camera: usize, now_ns: u64) -> Option<u64> {
         let apart_ns = self.apart_ns;
         let wish = self.wishes.get_mut(camera)?;
-        match wish.told_ns {
-            Some(told_ns) if told_ns + apart_ns > now_ns => return None,
+        match wish.requested_ns {
+            Some(requested_ns) if requested_ns + apart_ns > now_ns => return None,
             // In the next session numbers begin anew.
             Some(_) => wish.from = 0,
             None => {}
         }
-        wish.told_ns = Some(now_ns);
+        wish.requested_ns = Some(now_ns);
         Some(wish.from)
     }
 
-    /// Nobody looks any more: what was told is void.
+    /// No client looks any more: requests that were sent are void.
     pub(super) fn forget_wishes(&mut self) {
         self.wishes.fill(Wish::default());
     }
@@ -81,7 +81,7 @@ impl Kept {
         self.spares.pop()
     }
 
-    /// Takes memory back.
+    /// Takes the memory of a sample back for the next one.
     pub(super) fn give_back(&mut self, sample: Option<Sample>) {
         self.spares.extend(sample.filter(|_| self.spares.len() < KEPT * self.wishes.len()));
     }
@@ -92,7 +92,7 @@ impl Kept {
         if let Some(wish) = self.wishes.get_mut(camera) {
             *wish = Wish {
                 from: (trigger / self.stride).saturating_add(1).saturating_mul(self.stride),
-                told_ns: None,
+                requested_ns: None,
             };
         }
         if !trigger.is_multiple_of(self.stride) {

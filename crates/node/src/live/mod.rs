@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The body while cameras run (`docs/design/live.md`): frame sets of all nodes as points, on time that nobody else wants.
+//! The body while cameras run (`docs/design/live.md`): frame sets of all nodes as points, at low priority.
 //!
-//! Every node samples the same triggers, those that are multiples of a stride, as long as somebody looks. The node whose
-//! console is looked at asks the others for their rows of a trigger and reconstructs all cameras together.
+//! Every node samples the same triggers, those that are multiples of a stride, as long as a console requests them. The
+//! node that serves the console fetches the other nodes' rows of a trigger and reconstructs all cameras together.
 
 mod body;
 mod kept;
@@ -18,6 +18,7 @@ use crate::control::client::NodeClient;
 use crate::control::status::path;
 use crate::data::Calibration;
 use crate::host::realtime;
+use crate::preview::Interest;
 use crate::reconstruct::Reconstructor;
 use body::Body;
 use kept::{Kept, Places};
@@ -25,25 +26,23 @@ use rows::Rows;
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Whoever has not asked for so long does not look any more.
-const INTEREST: Duration = Duration::from_secs(2);
-/// How often threads look for what is new.
+/// Time between two looks for new samples and frame sets.
 const POLL: Duration = Duration::from_millis(4);
-/// Without interest.
+/// Time between two looks while no client requests the body.
 const REST: Duration = Duration::from_millis(100);
-/// A frame set lacks what another node has not told by then.
+/// A frame set is made without the rows that another node has not sent by then.
 const PEER_PATIENCE: Duration = Duration::from_millis(400);
-/// Frame sets over which their rate is told.
+/// Number of frame sets over which their rate is measured.
 const RATE_OVER: usize = 12;
 
-/// A frame set as points, with what is told of it.
+/// A frame set as points, with its facts.
 #[derive(Debug, Clone)]
 pub struct Shown {
-    /// What is told of it.
+    /// Its description for the console.
     pub facts: Facts,
     /// Arrival of its first frame at this node, host clock, ns.
     pub host_time_ns: u64,
@@ -51,12 +50,12 @@ pub struct Shown {
     pub points: Vec<u8>,
 }
 
-/// What is told of a frame set.
+/// The description of a frame set.
 #[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct Facts {
     /// Counts the frame sets of this node.
     pub number: u64,
-    /// Its trigger.
+    /// The index of its trigger.
     pub trigger: u64,
     /// How long ago its frames came, ms.
     pub age_ms: f64,
@@ -69,13 +68,14 @@ pub struct Facts {
 /// Another node, and what is taken from it.
 #[derive(Debug, Clone)]
 pub struct Peer {
-    /// How to ask it.
     pub client: NodeClient,
     /// Its cameras in the rig: it has no rows of any other.
     pub cameras: Vec<CameraId>,
 }
 
-/// The live body of a node.
+/// The live body of a node. The API's server starts it with two threads of low priority: one samples the frames, the
+/// other reconstructs them where a calibration is configured. Both work only while a client requests the body, and end
+/// with the server.
 #[derive(Clone)]
 pub struct LiveBody {
     shared: Arc<Shared>,
@@ -86,9 +86,8 @@ struct Shared {
     calibration: Option<PathBuf>,
     peers: Vec<Peer>,
     origin: Instant,
-    /// When this node's rows were last wanted, and when its body was, ms after `origin`, plus one; 0: never.
-    rows_asked: AtomicU64,
-    body_asked: AtomicU64,
+    rows_requested: Interest,
+    body_requested: Interest,
     kept: Mutex<Kept>,
     shown: Mutex<Option<Arc<Shown>>>,
     problem: Mutex<Option<String>>,
@@ -96,38 +95,37 @@ struct Shared {
 }
 
 impl LiveBody {
-    /// Starts the threads, one that samples and, with a calibration, one that reconstructs. They end with [`Self::end`].
+    /// Starts the threads, one that samples and, with a calibration, one that reconstructs. They end with
+    /// [`Self::end`].
     pub fn start(
         taps: Arc<Taps>,
         trigger_rate_hz: f64,
         calibration: Option<PathBuf>,
         peers: Vec<Peer>,
     ) -> std::io::Result<Self> {
-        let has_calibration = calibration.is_some();
         let kept = Kept::new(taps.cameras().count(), trigger_rate_hz);
         let shared = Arc::new(Shared {
             taps,
             calibration,
             peers,
             origin: Instant::now(),
-            rows_asked: AtomicU64::new(0),
-            body_asked: AtomicU64::new(0),
+            rows_requested: Interest::default(),
+            body_requested: Interest::default(),
             kept: Mutex::new(kept),
             shown: Mutex::default(),
             problem: Mutex::default(),
             ended: AtomicBool::new(false),
         });
-        let sampling = Arc::clone(&shared);
-        std::thread::Builder::new().name("live-rows".to_owned()).spawn(move || {
-            realtime::step_back();
-            sampling.sample();
-        })?;
-        if has_calibration {
-            let reconstructing = Arc::clone(&shared);
-            std::thread::Builder::new().name("live-body".to_owned()).spawn(move || {
+        let start = |name: &str, work: fn(&Shared)| {
+            let shared = Arc::clone(&shared);
+            std::thread::Builder::new().name(name.to_owned()).spawn(move || {
                 realtime::step_back();
-                reconstructing.reconstruct();
-            })?;
+                work(&shared);
+            })
+        };
+        start("live-rows", Shared::sample)?;
+        if shared.calibration.is_some() {
+            start("live-body", Shared::reconstruct)?;
         }
         Ok(Self { shared })
     }
@@ -137,15 +135,15 @@ impl LiveBody {
         self.shared.ended.store(true, Ordering::Release);
     }
 
-    /// The newest frame set if it is not the one of this number, and the wish for the next ones; `None` where there is none yet.
-    /// Numbers begin anew with the node. The error says why there never will be one.
+    /// The newest frame set if it is not the one of this number; `None` where there is none yet. The call keeps frame
+    /// sets coming. Numbers begin anew with the node. The error is why there never will be one.
     pub fn after(&self, number: u64) -> Result<Option<Arc<Shown>>, String> {
         if self.shared.calibration.is_none() {
             let message = "no calibration is configured; set quick_look.calibration in the node file";
             return Err(message.to_owned());
         }
-        self.shared.note(&self.shared.rows_asked);
-        self.shared.note(&self.shared.body_asked);
+        self.shared.rows_requested.note();
+        self.shared.body_requested.note();
         if let Some(problem) = lock(&self.shared.problem).clone() {
             return Err(problem);
         }
@@ -154,7 +152,7 @@ impl LiveBody {
 
     /// The rows of this node's cameras of a trigger, and the wish for the next ones; `None` while none is there.
     pub fn rows(&self, trigger: u64) -> Option<Vec<u8>> {
-        self.shared.note(&self.shared.rows_asked);
+        self.shared.rows_requested.note();
         let places = lock(&self.shared.kept).settled(trigger, self.shared.now_ns())?;
         let ids: Vec<&CameraId> = self.shared.taps.cameras().collect();
         Some(rows::encode(trigger, places.iter().map(|(place, sample)| (ids[*place], sample.as_ref()))))
@@ -171,16 +169,6 @@ impl Shared {
         self.origin.elapsed().as_nanos() as u64
     }
 
-    fn note(&self, asked: &AtomicU64) {
-        asked.store(self.origin.elapsed().as_millis() as u64 + 1, Ordering::Release);
-    }
-
-    fn is_wanted(&self, asked: &AtomicU64) -> bool {
-        let at = asked.load(Ordering::Acquire);
-        let now = self.origin.elapsed().as_millis() as u64 + 1;
-        at != 0 && now.saturating_sub(at) < INTEREST.as_millis() as u64
-    }
-
     /// Rows by the names of their cameras.
     fn named(&self, places: &Places) -> Rows {
         let ids: Vec<&CameraId> = self.taps.cameras().collect();
@@ -190,7 +178,7 @@ impl Shared {
     fn sample(&self) {
         let cameras = self.taps.cameras().count();
         while !self.ended.load(Ordering::Acquire) {
-            if !self.is_wanted(&self.rows_asked) {
+            if !self.rows_requested.is_fresh() {
                 lock(&self.kept).forget_wishes();
                 std::thread::sleep(REST);
                 continue;
@@ -226,7 +214,7 @@ impl Shared {
         let (mut last, mut number) = (None, 0);
         let mut done: VecDeque<Instant> = VecDeque::new();
         while !self.ended.load(Ordering::Acquire) {
-            if !self.is_wanted(&self.body_asked) {
+            if !self.body_requested.is_fresh() {
                 (last, reconstructor) = (None, None);
                 std::thread::sleep(REST);
                 continue;
@@ -268,7 +256,8 @@ impl Shared {
         *lock(&self.problem) = Some(reason);
     }
 
-    /// What the other nodes have of a trigger, asked for at the same time; nothing of those that do not say it in time.
+    /// The rows of a trigger at the other nodes, requested from all at the same time; none of a node that does not
+    /// answer in time.
     fn rows_of_peers(&self, trigger: u64) -> Rows {
         let wanted = path::LIVE_ROWS.replace("{trigger}", &trigger.to_string());
         let ask = |peer: &Peer| -> Rows {
@@ -286,7 +275,7 @@ impl Shared {
 }
 
 impl Shown {
-    /// What is told of it now.
+    /// Its description now, with its age.
     pub fn facts_now(&self) -> Facts {
         let age_ms = host_time_ns().saturating_sub(self.host_time_ns) as f64 / 1e6;
         Facts { age_ms: (age_ms * 10.0).round() / 10.0, ..self.facts.clone() }

@@ -1,23 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Action commands in a session: whether the cameras can be triggered by them now, because their clocks are one and each
-//! answers; and in the end, what became of them.
+//! Action commands in a session: whether the cameras can be triggered by them now, because their clocks are one and
+//! each answers; and in the end, what became of them.
 
 use super::camera_keeper::{clock_readings, exchange};
 use super::devices::Devices;
+use super::event_kind::EventKind;
 use super::node_thread::Node;
-use crate::acquire::recorder::RecorderCommand;
 use crate::base::clock_fit::Exchange;
 use crate::base::ids::CameraId;
 use crate::base::{Exit, Fault};
 use crate::host::realtime;
-use crate::record::{ACTION_COMMANDS, ACTIONS_AT_ONCE, NodeEvent, ptp_keeps};
+use crate::record::{ACTIONS_AT_ONCE, ptp_keeps};
 use std::time::{Duration, Instant};
 
-/// Cameras agree on a master and set their clocks within this.
+/// Longest time in which the cameras agree on a PTP master and set their clocks.
 const PTP_PATIENCE: Duration = Duration::from_secs(30);
-/// Between two looks.
+/// Time between two looks at the cameras' PTP status.
 const POLL: Duration = Duration::from_millis(250);
-/// Clocks that PTP keeps together differ by less, ns, besides what reading them leaves open.
+/// Clocks that PTP keeps together differ by less than this, ns, besides the uncertainty of reading them.
 const APART_NS: i128 = 100_000;
 
 impl Devices {
@@ -49,7 +49,7 @@ impl Devices {
         }
     }
 
-    /// Waits until every camera says that PTP has set its clock, and their clocks show the same.
+    /// Waits until every camera reports that PTP has set its clock, and their clocks show the same.
     fn wait_for_ptp(&mut self) -> Vec<String> {
         let until = Instant::now() + PTP_PATIENCE;
         loop {
@@ -77,7 +77,7 @@ impl Devices {
                     ));
                     continue;
                 }
-                // One that does not say is told by its clock.
+                // A camera without a PTP status is judged by its clock.
                 Ok(_) => {}
                 Err(error) => {
                     troubles.push(format!("camera {id}: {error}"));
@@ -98,29 +98,19 @@ impl Devices {
 }
 
 impl Node {
-    /// Puts into the recording what became of the action commands: the counts of each camera, and at which triggers it did
-    /// not expose at the time of the others.
-    pub(super) fn tell_actions(&self) {
+    /// Puts into the recording what became of the action commands: the counts of each camera, and at which triggers it
+    /// did not expose at the time of the others.
+    pub(super) fn record_actions(&self) {
         let (Some(session), Some(action)) = (&self.session, self.devices.unit().action()) else { return };
         for (camera, counts) in action.tally.counts() {
-            if !counts.is_clean() {
-                tracing::warn!(%camera, kind = ACTION_COMMANDS, "{counts}");
-            }
-            session.tell(RecorderCommand::Event(NodeEvent {
-                host_time_ns: session.clock.now(),
-                kind: ACTION_COMMANDS.to_owned(),
-                camera: Some(camera),
-                trigger: None,
-                message: counts.to_string(),
-            }));
+            let event = session.event(EventKind::ActionCommands, Some(camera), counts.to_string());
+            if counts.is_clean() { session.record(event) } else { session.warn(event) }
         }
         // What came before Record is not recorded.
         let first = session.kept.as_ref().map_or(0, |kept| kept.first);
         for (camera, row, why) in action.tally.untimely() {
             let Some(row) = row.behind(first) else { continue };
-            let event = row.event(camera.clone(), &why, session.clock.now());
-            tracing::warn!(%camera, kind = %event.kind, trigger = row.first, "{}", event.message);
-            session.tell(RecorderCommand::Event(event));
+            session.warn(row.event(camera, &why, session.clock.now()));
         }
     }
 }

@@ -3,6 +3,7 @@
 //! back when it was lost. So nothing that a camera does or does not do makes the node's own thread wait.
 
 use super::devices::{OpenCamera, SharedBackend};
+use super::event_kind::EventKind;
 use super::ptp_watch::PtpWatch;
 use crate::acquire::receiver::{Receiver, ReceiverSetup};
 use crate::acquire::recorder::RecorderCommand;
@@ -11,78 +12,63 @@ use crate::base::time::HostClock;
 use crate::camera::{Camera, CameraClockSample, CameraError, StreamOptions, quiet_stream};
 use crate::host::frame_memory::Pool;
 use crate::hsu::action::{ActionTally, PtpClock};
-use crate::record::{ClockSample, GapCause, NodeEvent, PTP_STATUS};
+use crate::record::{ClockSample, GapCause};
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// What an attendant tells the node.
+/// What a camera's attendant, or the keeper of the HSU's link, reports to the node.
 #[derive(Debug)]
 pub enum Report {
-    /// The camera does not answer any more.
-    Lost {
-        /// Its place in the node's list.
-        camera: usize,
-        /// What was seen.
-        reason: String,
-    },
-    /// Another program controls it.
-    Owned {
-        /// Its place in the node's list.
-        camera: usize,
-        /// Who.
-        reason: String,
-    },
-    /// It sends again, with the same settings.
-    Back {
-        /// Its place in the node's list.
-        camera: usize,
-    },
-    /// Whoever captures must know; not from a camera's attendant, but from the link's.
-    Notice {
-        /// What it is about.
-        about: &'static str,
-        /// `None`: it does not hold any more.
-        text: Option<String>,
-    },
+    /// The state of the camera at this place of the node's list has changed.
+    Camera(usize, CameraReport),
+    /// Something that the operator must know at once, with its subject; `None`: it does not hold any more.
+    Notice(&'static str, Option<String>),
 }
 
-/// What the node tells an attendant.
+/// What has happened to a camera.
+#[derive(Debug)]
+pub enum CameraReport {
+    /// It stopped answering, with the reason that was seen.
+    Lost(String),
+    /// Another program controls it, with that program's address.
+    Owned(String),
+    /// It sends again, with the same settings.
+    Back,
+}
+
+/// What the node's thread orders an attendant to do.
 #[derive(Debug)]
 enum Order {
-    /// Nothing was heard of the camera: does it answer?
+    /// No packet arrived from the camera: check whether it answers.
     Probe,
-    /// Its frames are in doubt: what does its clock say?
+    /// Its frames are in doubt: read its clock.
     ReadClock,
-    /// The session is over.
     Stop,
 }
 
-/// Everything an attendant works with.
+/// Everything that the thread of one camera works with.
 pub struct AttendantSetup {
     /// The camera, open and streaming.
     pub camera: OpenCamera,
-    /// Opens it again.
     pub backend: SharedBackend,
     /// How its stream is set up.
     pub options: StreamOptions,
-    /// Its receiver's setup, for another one.
+    /// The setup of its receiver, for the next stream.
     pub receiver: ReceiverSetup,
-    /// Buffers of a stream.
+    /// Number of frame buffers that each stream gets.
     pub blocks: usize,
-    /// Where they come from.
     pub pool: Pool,
-    /// The recorder.
     pub to_recorder: Sender<RecorderCommand>,
-    /// The node.
     pub reports: Sender<Report>,
-    /// The clock of all cameras, where this is the one by which it is known.
+    /// The clock that all cameras share, where this camera's readings stand for it.
     pub ptp: Option<PtpClock>,
-    /// Who must know by what clock it acts, where action commands are scheduled by PTP.
+    /// Receives the camera's PTP status, where action commands are scheduled by PTP.
     pub actions: Option<ActionTally>,
 }
 
-/// A running attendant.
+/// The running thread of one camera. The node starts it with the streams of a session and joins it when they are
+/// stopped; until then it owns the camera.
 pub struct CameraKeeper {
     orders: Sender<Order>,
     thread: JoinHandle<Returned>,
@@ -91,19 +77,19 @@ pub struct CameraKeeper {
 /// What an attendant gives back: the camera, if it is there, and the counters of its last stream.
 pub type Returned = (OpenCamera, Vec<(String, u64)>);
 
-/// Between two readings of a camera's clock.
+/// Time between two readings of a camera's clock.
 const CLOCK_INTERVAL: Duration = Duration::from_secs(1);
-/// Between two attempts to open a lost camera.
+/// Time between two attempts to open a lost camera.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
-/// Readings of a clock at once, before a session and when a camera is back.
+/// Number of readings of a clock before a session, and when a camera is back.
 pub const CLOCK_BURST: usize = 16;
-/// Readings where frames are in doubt: one more than it takes to believe that a clock was set.
+/// Number of clock readings where frames are in doubt: one more than it takes to believe that a clock was set.
 const READINGS: usize = RESET_RUN + 1;
-/// Before a stream that came back is started, whatever its socket caught of other cameras must have passed.
+/// Time before a stream that came back is started, in which its socket drops packets of other cameras.
 const SETTLE: Duration = Duration::from_millis(300);
 
 impl CameraKeeper {
-    /// Starts the thread.
+    /// Starts the thread, which owns the camera until it is joined.
     pub fn start(setup: AttendantSetup, receiver: Receiver) -> std::io::Result<Self> {
         let (orders, inbox) = bounded(8);
         let name = format!("attend-{}", setup.receiver.camera);
@@ -123,17 +109,17 @@ impl CameraKeeper {
         drop(self.orders.try_send(Order::Probe));
     }
 
-    /// Asks it to read the camera's clock now, often enough to tell one that was set.
+    /// Orders it to read the camera's clock now, often enough to recognize a clock that was set.
     pub fn read_clock(&self) {
         drop(self.orders.try_send(Order::ReadClock));
     }
 
-    /// Tells it to stop; [`Self::join`] waits for it.
+    /// Orders it to stop; [`Self::join`] waits for it.
     pub fn stop(&self) {
         drop(self.orders.send(Order::Stop));
     }
 
-    /// Waits for its end.
+    /// Waits for the end of the thread, and returns the camera with its counters.
     pub fn join(self) -> Option<Returned> {
         self.thread.join().ok()
     }
@@ -143,7 +129,7 @@ struct Work {
     setup: AttendantSetup,
     /// `None` while the camera is lost.
     receiver: Option<Receiver>,
-    /// Who was found in control of it at the last attempt, and who was said to be.
+    /// Who controlled it at the last attempt, and who was last reported to.
     owned: Option<String>,
     holder: Option<String>,
     /// How many settings it was given when it was last back.
@@ -210,15 +196,15 @@ impl Work {
     fn begin_ptp(&mut self) {
         let camera = self.setup.camera.camera.as_mut();
         if let Some(status) = camera.and_then(|camera| self.ptp.begin(camera.as_mut())) {
-            self.note(PTP_STATUS, status);
+            self.note(EventKind::PtpStatus, status);
         }
     }
 
     fn look_at_ptp(&mut self, at_the_end: bool) {
         let camera = self.setup.camera.camera.as_mut().filter(|_| self.receiver.is_some());
         match camera.map(|camera| self.ptp.look(camera.as_mut(), at_the_end)) {
-            Some(Ok(Some(status))) => self.note(PTP_STATUS, status),
-            // Nothing that it says of its clock can be believed, and its frames are placed by that.
+            Some(Ok(Some(status))) => self.note(EventKind::PtpStatus, status),
+            // No reading of its clock can be believed, and its frames are matched by that.
             Some(Err(error @ CameraError::Nonsense { .. })) => self.lost(&error),
             // A camera that does not answer is lost, and that is noted.
             _ => {}
@@ -246,9 +232,9 @@ impl Work {
         self.holder = None;
         let reason = error.to_string();
         drop(self.setup.to_recorder.send(RecorderCommand::CameraLost(camera, cause)));
-        drop(self.setup.reports.send(Report::Lost { camera, reason }));
+        self.report(CameraReport::Lost(reason));
         let counters = receiver.stop();
-        self.note("stream_counters", counters_text(&counters));
+        self.note(EventKind::StreamCounters, counters_text(&counters));
         // A handle that has lost its camera is of no more use: it must be opened anew.
         self.setup.camera.camera = None;
     }
@@ -256,13 +242,12 @@ impl Work {
     fn bring_back(&mut self) {
         match self.reopen() {
             Ok(()) => {
-                let camera = self.setup.receiver.camera;
                 let text = format!(
                     "{} settings set and read back, fresh stream of {} buffers",
                     self.set, self.setup.blocks
                 );
-                self.note("camera_back", text);
-                drop(self.setup.reports.send(Report::Back { camera }));
+                self.note(EventKind::CameraBack, text);
+                self.report(CameraReport::Back);
             }
             Err(reason) => {
                 self.setup.camera.camera = None;
@@ -274,7 +259,7 @@ impl Work {
         }
     }
 
-    /// Another program controls the camera: said once for each.
+    /// Another program controls the camera: reported once for each program.
     fn say_who_has_it(&mut self, holder: String, reason: &str) {
         if self.holder.as_ref() == Some(&holder) {
             return;
@@ -282,8 +267,8 @@ impl Work {
         let camera = self.setup.receiver.camera;
         self.holder = Some(holder);
         drop(self.setup.to_recorder.send(RecorderCommand::CameraAway(camera, GapCause::ControlLost)));
-        self.note("camera_owned", reason.to_owned());
-        drop(self.setup.reports.send(Report::Owned { camera, reason: reason.to_owned() }));
+        self.note(EventKind::CameraOwned, reason.to_owned());
+        self.report(CameraReport::Owned(reason.to_owned()));
     }
 
     /// Opens the camera, verifies it, and starts a fresh stream.
@@ -303,12 +288,12 @@ impl Work {
                 config.address,
                 camera.identity()
             );
-            self.note("camera_refused", reason.clone());
+            self.note(EventKind::CameraRefused, reason.clone());
             return Err(reason);
         }
         let set_up = camera.set_up(&self.setup.camera.wishes).map_err(text)?;
         if let Some(status) = self.ptp.look(camera.as_mut(), false).map_err(text)? {
-            self.note(PTP_STATUS, status);
+            self.note(EventKind::PtpStatus, status);
         }
         self.setup.options.contract = set_up.contract;
         self.setup.camera.watched = set_up.watched;
@@ -353,19 +338,18 @@ impl Work {
         }
     }
 
-    fn note(&self, kind: &str, message: String) {
-        let event = NodeEvent {
-            host_time_ns: self.setup.receiver.clock.now(),
-            kind: kind.to_owned(),
-            camera: Some(self.setup.camera.config.id.clone()),
-            trigger: None,
-            message,
-        };
+    fn report(&self, report: CameraReport) {
+        drop(self.setup.reports.send(Report::Camera(self.setup.receiver.camera, report)));
+    }
+
+    fn note(&self, kind: EventKind, message: String) {
+        let id = self.setup.camera.config.id.clone();
+        let event = kind.event(self.setup.receiver.clock.now(), Some(id), message);
         drop(self.setup.to_recorder.send(RecorderCommand::Event(event)));
     }
 }
 
-/// A burst of readings of a camera's clock. One that does not answer is not asked again: each question takes seconds.
+/// A burst of readings of a camera's clock. It ends with the first one that fails: each attempt takes seconds.
 pub fn clock_readings(camera: &mut dyn Camera) -> impl Iterator<Item = CameraClockSample> {
     (0..CLOCK_BURST).map_while(|_| camera.sample_clock().ok()).flatten()
 }

@@ -32,7 +32,7 @@ pub struct OpenCamera {
     pub config: CameraConfig,
     /// The camera, while it is open and not in the hands of an attendant.
     pub camera: Option<Box<dyn Camera>>,
-    /// Who it said it was when it was last opened.
+    /// Its identity when it was last opened.
     pub identity: Option<CameraIdentity>,
     /// Why it cannot be used now.
     pub problem: Option<String>,
@@ -40,7 +40,7 @@ pub struct OpenCamera {
     pub size: (usize, usize),
     /// What its frames must be, as it was last verified.
     pub contract: FrameContract,
-    /// What the node file says of it.
+    /// The settings of the node file for it.
     pub wishes: Wishes,
     /// What must stay as it is while a session runs.
     pub watched: State,
@@ -65,7 +65,7 @@ impl OpenCamera {
         Ok(PreparedCamera { id, contract, identity, settings, told, state })
     }
 
-    /// What is not as it was set, where the camera can be asked.
+    /// Settings that are not as they were set, where the camera can be read.
     fn changed(&mut self) -> Vec<Change> {
         let Some(camera) = self.camera.as_mut().filter(|camera| camera.is_alive()) else { return Vec::new() };
         match camera.changed(&self.watched) {
@@ -111,9 +111,7 @@ pub struct PreparedCamera {
     pub id: CameraId,
     /// What its frames must be.
     pub contract: FrameContract,
-    /// Who it is.
     pub identity: CameraIdentity,
-    /// Settings as read back.
     pub settings: Vec<AppliedSetting>,
     /// What was found otherwise and mended, and what the camera rounded.
     pub told: Vec<String>,
@@ -121,18 +119,20 @@ pub struct PreparedCamera {
     pub state: State,
 }
 
-/// How often one of the cameras that do not answer is looked for while the node is idle: it blocks for 2.5 s.
+/// Time between two attempts to open an absent camera while the node is idle: each attempt blocks for 2.5 s.
 const ABSENT_RETRY_INTERVAL: Duration = Duration::from_secs(15);
-/// A camera that another program controls answers at once. That program is most often this one before it crashed, and the
-/// camera is free when its heartbeat times out (3 s by default).
+/// The same for a camera that another program controls, which answers at once. That program is most often this one
+/// before it crashed, and the camera is free when its heartbeat times out (3 s by default).
 const OWNED_RETRY_INTERVAL: Duration = Duration::from_millis(500);
-/// The HSU answers at once, or its absence is noticed in a second.
+/// Time between two attempts to connect to the HSU: its absence is noticed in a second.
 const HSU_RETRY_INTERVAL: Duration = Duration::from_secs(3);
 
-/// The camera by whose clock the one that all share is known.
+/// The place of the camera whose clock readings stand for the clock that all cameras share.
 const REFERENCE: usize = 0;
 
-/// All devices of the node.
+/// All devices of the node: its cameras, its link to the HSU, and the frame memory. The node's thread makes them at
+/// its start and keeps them open between sessions. During a session each camera belongs to its attendant, which gives
+/// it back when the streams are stopped.
 pub struct Devices {
     backend: SharedBackend,
     slots: Vec<OpenCamera>,
@@ -140,7 +140,6 @@ pub struct Devices {
     pool: Pool,
     hsu: Option<Arc<Hsu>>,
     hsu_problem: Option<String>,
-    /// What fires the triggers.
     unit: TriggerUnit,
     config: NodeConfig,
     next_hsu_retry: Instant,
@@ -187,7 +186,7 @@ impl Devices {
         self.hsu.as_ref()
     }
 
-    /// What fires the triggers.
+    /// The HSU, or the action commands, that fire the triggers.
     pub fn unit(&self) -> &TriggerUnit {
         &self.unit
     }
@@ -221,8 +220,8 @@ impl Devices {
         self.next_hsu_retry = Instant::now() + HSU_RETRY_INTERVAL;
     }
 
-    /// Between sessions: notices devices that were lost since, and says whether there are any. Asks none, so that it
-    /// does not wait.
+    /// Between sessions: notices devices that were lost since, and returns whether there are any. Sends no request, so
+    /// that it does not wait.
     pub fn notice_lost(&mut self) -> bool {
         let mut found = false;
         for slot in &mut self.slots {
@@ -259,7 +258,8 @@ impl Devices {
         match self.backend.open(&slot.config.address) {
             Ok(camera) => {
                 let identity = camera.identity();
-                tracing::info!(camera = %slot.config.id, address = slot.config.address, model = identity.model, serial = identity.serial, "opened");
+                let (model, serial) = (&identity.model, &identity.serial);
+                tracing::info!(camera = %slot.config.id, address = slot.config.address, model, serial, "opened");
                 slot.identity = Some(identity.clone());
                 slot.camera = Some(camera);
                 slot.problem = None;
@@ -286,7 +286,8 @@ impl Devices {
     fn connect_hsu(&mut self) -> Result<(), Fault> {
         match self.unit.connect(&self.config.node, &HsuTimeouts::default()) {
             Ok(hsu) => {
-                tracing::info!(device = %self.config.trigger.device().display(), identity = identity_text(&hsu), "HSU connected");
+                let device = self.config.trigger.device();
+                tracing::info!(device = %device.display(), identity = identity_text(&hsu), "HSU connected");
                 self.hsu = Some(Arc::new(hsu));
                 self.hsu_problem = None;
                 Ok(())
@@ -416,7 +417,7 @@ impl Devices {
         }
         let mut attendants = Vec::new();
         let ptp = self.ptp();
-        // At once, cameras act by nobody's clock.
+        // Actions that are not scheduled depend on no clock.
         let actions =
             self.unit().action().filter(|action| action.ptp.is_some()).map(|action| action.tally.clone());
         for (receiver, setup) in running.into_iter().zip(receivers) {
@@ -459,15 +460,16 @@ impl Devices {
             quiet_stream(camera.as_mut(), blocks, &options).map_err(|e| fault(e.to_string()))?;
         if !quiet {
             return Err(fault(
-                "packets arrive on its stream before it was told to send; expected silence: is another program, or a \
-                 camera with the same address, streaming to this host?"
+                "packets arrive on its stream before its acquisition was started; expected silence: is another \
+                 program, or a camera with the same address, streaming to this host?"
                     .to_owned(),
             ));
         }
         Receiver::start(stream, setup.clone()).map_err(|e| fault(format!("cannot start its thread: {e}")))
     }
 
-    /// Stops acquisitions and receivers and takes the cameras back; returns each camera's stream counters, in their order.
+    /// Stops acquisitions and receivers and takes the cameras back; returns each camera's stream counters, in their
+    /// order.
     pub fn stop_streams(&mut self, attendants: Vec<CameraKeeper>) -> Vec<Vec<(String, u64)>> {
         attendants.iter().for_each(CameraKeeper::stop);
         let mut counters = Vec::new();
@@ -488,7 +490,7 @@ impl Devices {
         counters
     }
 
-    /// For the status.
+    /// The state of every camera, in the configuration's order, for the node's status.
     pub fn camera_statuses(&self) -> Vec<CameraStatus> {
         let status = |slot: &OpenCamera| CameraStatus {
             id: slot.config.id.clone(),
@@ -500,7 +502,7 @@ impl Devices {
         self.slots.iter().map(status).collect()
     }
 
-    /// For the status.
+    /// The state of the link to the HSU, for the node's status.
     pub fn hsu_status(&self) -> HsuStatus {
         HsuStatus {
             device: self.config.trigger.device(),

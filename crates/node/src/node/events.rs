@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What happens to a session while it runs: the HSU's reports, lost and returning devices, the recorder's word.
 
-use super::camera_keeper::Report;
+use super::camera_keeper::{CameraReport, Report};
+use super::event_kind::EventKind;
 use super::node_thread::{Node, hsu_session};
 use super::silence::{Notice, SILENT_TRIGGERS};
 use super::state_machine::Event;
@@ -34,7 +35,7 @@ impl Node {
                         late: trigger.flags.contains(TriggerFlags::LATE),
                         host_time_ns,
                     };
-                    return self.in_session(|session| session.tell(command));
+                    return self.in_session(|session| session.send(command));
                 };
                 let record = TriggerRecord {
                     index,
@@ -42,23 +43,20 @@ impl Node {
                     flags: u32::from(trigger.flags.0),
                     host_time_ns,
                 };
-                self.in_session(|session| session.tell(RecorderCommand::Trigger(record)));
+                self.in_session(|session| session.send(RecorderCommand::Trigger(record)));
                 self.take(Event::Trigger);
-                self.listen(index.0);
+                self.check_silence(index.0);
             }
             HsuEvent::TriggersMissing { session, first, count } if Some(session) == ours => {
-                self.note(
-                    "triggers_missing",
-                    None,
-                    &format!("the times of {count} triggers from {first} on are lost"),
-                );
+                let message = format!("the times of {count} triggers from {first} on are lost");
+                self.note(EventKind::TriggersMissing, None, message);
             }
             HsuEvent::Done { session, emitted, .. } if Some(session) == ours => {
                 self.take(Event::TrainDone { emitted })
             }
             HsuEvent::Fault { session, fault } if Some(session) == ours => {
                 let message = format!("the HSU reports: {fault}");
-                self.note("hsu_fault", None, &message);
+                self.note(EventKind::HsuFault, None, message.as_str());
                 // The other node looks for its link; the train goes on, and so do we.
                 let other_link = matches!(fault, HsuFault::LinkSilent { .. });
                 let running = self.machine.train_runs();
@@ -75,22 +73,22 @@ impl Node {
         }
     }
 
-    /// The HSU is of no more use for this session.
+    /// The HSU cannot be used in this session any more.
     pub(crate) fn hsu_gone(&mut self, reason: String) {
         let message = lost_link_text(&reason);
         self.devices.drop_hsu(message.clone());
-        self.note("hsu_lost", None, &message);
+        self.note(EventKind::HsuLost, None, message.as_str());
         self.take(Event::Failed(Fault::new(Exit::Device, message)));
     }
 
-    /// The link is lost, not the HSU: as configured the session goes on, and the link is looked for.
+    /// The link is lost, not the HSU: as configured the session goes on, and the link is restored.
     pub(crate) fn link_lost(&mut self, reason: String) {
         let goes_on = self.machine.train_runs() && self.config.on_link_lost == OnLoss::Continue;
         if !goes_on {
             return self.hsu_gone(reason);
         }
         let message = lost_link_text(&reason);
-        self.note("hsu_link_lost", None, &message);
+        self.note(EventKind::HsuLinkLost, None, message.as_str());
         self.devices.drop_hsu(message);
         self.in_session(|session| {
             if let Some(keeper) = &session.link_keeper {
@@ -103,15 +101,16 @@ impl Node {
     /// The link is back, with a new connection.
     pub(crate) fn link_back(&mut self, hsu: Arc<Hsu>) {
         self.devices.take_hsu(hsu);
-        self.note("hsu_link_back", None, "the HSU answers again; triggers fired meanwhile are asked for");
+        let message = "the HSU answers again; triggers fired meanwhile are requested";
+        self.note(EventKind::HsuLinkBack, None, message);
         self.take(Event::LinkBack);
     }
 
-    /// Looks, trigger by trigger, which cameras are heard.
-    pub(crate) fn listen(&mut self, trigger: u64) {
+    /// Checks, trigger by trigger, which cameras send.
+    pub(crate) fn check_silence(&mut self, trigger: u64) {
         let Some(session) = &mut self.session else { return };
         let period = Duration::from_secs_f64(1.0 / self.config.rig.trigger_rate_hz);
-        let since = session.listened.replace(Instant::now()).map(|last| last.elapsed());
+        let since = session.last_trigger.replace(Instant::now()).map(|last| last.elapsed());
         if since.is_some_and(|since| since < period / 2) {
             return session.silence.pass_over();
         }
@@ -122,37 +121,25 @@ impl Node {
                     if let Some(attendant) = session.attendants.get(camera) {
                         attendant.probe();
                     }
-                    let message = format!("nothing was heard of the camera for {SILENT_TRIGGERS} triggers");
-                    (camera, "camera_silent", since, message)
+                    let message = format!("the camera sent nothing for {SILENT_TRIGGERS} triggers");
+                    (camera, EventKind::CameraSilent, since, message)
                 }
                 Notice::HeardAgain { camera, at } => {
-                    (camera, "camera_heard_again", at, "the camera is heard again".to_owned())
+                    (camera, EventKind::CameraHeardAgain, at, "the camera sends again".to_owned())
                 }
             };
             let id = session.cameras.get(camera).map(|camera| camera.id.clone());
-            tracing::warn!(
-                camera = id.as_ref().map(tracing::field::display),
-                trigger = at,
-                kind,
-                "{message}"
-            );
-            let event = NodeEvent {
-                host_time_ns: session.clock.now(),
-                kind: kind.to_owned(),
-                camera: id,
-                trigger: Some(TriggerIndex(at)),
-                message,
-            };
-            session.tell(RecorderCommand::Event(event));
+            let trigger = Some(TriggerIndex(at));
+            session.warn(NodeEvent { trigger, ..session.event(kind, id, message) });
         }
     }
 
-    /// An attendant lost its camera, or has it back; or there is something that whoever captures must know.
+    /// An attendant lost its camera, or has it back; or there is something that the operator must know.
     pub(crate) fn attendant_reports(&mut self, report: Report) {
         let Some(session) = &mut self.session else { return };
-        let camera = match report {
-            Report::Lost { camera, .. } | Report::Owned { camera, .. } | Report::Back { camera } => camera,
-            Report::Notice { about, text } => {
+        let (camera, report) = match report {
+            Report::Camera(camera, report) => (camera, report),
+            Report::Notice(about, text) => {
                 if let Some(text) = &text {
                     tracing::warn!(about, "{text}");
                 }
@@ -160,11 +147,11 @@ impl Node {
             }
         };
         let Some(id) = session.cameras.get(camera).map(|camera| camera.id.clone()) else { return };
-        match report {
-            Report::Lost { reason, .. } => {
-                let message = format!("camera {id} is lost: {reason}");
+        let problem = match report {
+            CameraReport::Lost(reason) => {
+                let message = format!("camera {id} stopped answering: is it unplugged or off? ({reason})");
                 self.devices.set_problem(camera, Some(message.clone()));
-                self.note("camera_lost", Some(id), &message);
+                self.note(EventKind::CameraLost, Some(id), message.as_str());
                 let fatal = match self.machine.phase() {
                     Phase::Preparing | Phase::Ready => true,
                     Phase::Holding | Phase::Running => self.config.on_camera_lost == OnLoss::Abort,
@@ -173,17 +160,13 @@ impl Node {
                 if fatal {
                     self.take(Event::Failed(Fault::new(Exit::Device, message)));
                 }
+                return;
             }
-            Report::Owned { reason, .. } => {
-                tracing::warn!(camera = %id, "{reason}");
-                self.devices.set_problem(camera, Some(format!("camera {id}: {reason}")));
-            }
-            Report::Back { .. } => {
-                tracing::warn!(camera = %id, "the camera is back");
-                self.devices.set_problem(camera, None);
-            }
-            Report::Notice { .. } => {}
-        }
+            CameraReport::Owned(reason) => Some(format!("camera {id}: {reason}")),
+            CameraReport::Back => None,
+        };
+        tracing::warn!(camera = %id, "{}", problem.as_deref().unwrap_or("the camera is back"));
+        self.devices.set_problem(camera, problem);
     }
 
     pub(crate) fn recorder_event(&mut self, event: RecorderEvent) {
@@ -192,7 +175,7 @@ impl Node {
             RecorderEvent::RingFull { why } => {
                 let why = why.unwrap_or_else(|| "the disk could not keep up".to_owned());
                 let message = format!("{why} and the ring is full; the session was stopped, as configured");
-                self.note("ring_full", None, &message);
+                self.note(EventKind::RingFull, None, message.as_str());
                 self.take(Event::Failed(Fault::new(Exit::DataLoss, message)));
             }
             RecorderEvent::Doubtful { camera } => {
@@ -220,19 +203,16 @@ impl Node {
         }
     }
 
-    /// Behind the warm-up: whether a camera's place in the train is known. Where it is not, its frames are lost as those of
-    /// a camera that is away, and the session ends if it ends for one of these.
+    /// Behind the warm-up: whether a camera's place in the train is known. Where it is not, its frames are lost as
+    /// those of a camera that is away, and the session ends if it ends for one of these.
     fn place(&mut self, camera: usize, unknown: Option<String>) {
         let Some(session) = &mut self.session else { return };
         let Some(id) = session.cameras.get(camera).map(|camera| camera.id.clone()) else { return };
         let about = format!("place of {id}");
         let Some(why) = unknown else {
             session.notice(&about, None);
-            return self.note(
-                "place_found",
-                Some(id),
-                "which triggers its frames are of is known from here on",
-            );
+            let message = "which triggers its frames are of is known from here on";
+            return self.note(EventKind::PlaceFound, Some(id), message);
         };
         let message = format!("camera {id}: {why}");
         session.notice(&about, Some(message.clone()));
@@ -241,7 +221,7 @@ impl Node {
         }
     }
 
-    /// The recorder's thread ended without saying so: it panicked. The session cannot be finished.
+    /// The recorder's thread ended without a report: it panicked. The session cannot be finished.
     pub(crate) fn recorder_gone(&mut self) {
         self.in_session(|session| {
             session.from_recorder = never();

@@ -11,11 +11,11 @@ use crate::host::memory;
 use crate::host::process_limits::ProcessMemory;
 use std::sync::atomic::Ordering;
 
-/// Left to everything else on this host, bytes.
+/// Memory that is left to everything else on this host, bytes.
 const LEFT_FREE: u64 = 1 << 30;
 
-/// Frame sets that are held: those that are asked for, and a second of them more. So long Record may be on its way from one node to the
-/// other.
+/// Number of frame sets to hold: those of the requested seconds and of one second more, for which Record may be on its
+/// way from one node to the other.
 pub(crate) fn held_sets(request: &SessionRequest, rate_hz: f64) -> usize {
     match usize::try_from(request.pre_triggers).unwrap_or(usize::MAX) {
         0 => 0,
@@ -23,7 +23,8 @@ pub(crate) fn held_sets(request: &SessionRequest, rate_hz: f64) -> usize {
     }
 }
 
-/// Refuses sessions of a node that the limits of this process have no room for; `held`: frame sets that are held before Record.
+/// Refuses sessions of a node that the limits of this process have no room for; `held`: frame sets that are held
+/// before Record.
 ///
 /// # Errors
 /// The limit, by name.
@@ -48,8 +49,8 @@ impl Node {
         }
     }
 
-    /// Refuses a session that does not fit into what this process may have, or whose frames of before Record do not fit into
-    /// what this host has left.
+    /// Refuses a session that does not fit into what this process may have, or whose frames of before Record do not
+    /// fit into what this host has left.
     pub(crate) fn check_memory(&self) -> Result<(), Fault> {
         let Some(session) = &self.session else { return Ok(()) };
         let rate_hz = self.config.rig.trigger_rate_hz;
@@ -72,7 +73,7 @@ impl Node {
         let usage = |message: String| Err(Fault::new(Exit::Usage, message));
         let ours = self.machine.request().is_some_and(|ours| ours.session_id == request.session_id);
         let Some(session) = self.session.as_ref().filter(|_| ours) else {
-            return usage("the node is not in this session (any more)".to_owned());
+            return usage("the node is not in this session".to_owned());
         };
         let phase = self.machine.phase();
         if phase != Phase::Holding {
@@ -83,25 +84,25 @@ impl Node {
         // Where Record was pressed is what another node had: this one may be a little behind.
         if first > end || pressed < first {
             return usage(format!(
-                "a recording from trigger {first} on, with Record at {pressed}; expected triggers up to {end}, which are held"
+                "a recording from trigger {first} on, with Record at {pressed}; expected held triggers, up to {end}"
             ));
         }
         self.in_session(|session| session.kept = Some(*request));
-        self.take(Event::Keep { first, pressed });
+        self.take(Event::Keep(*request));
         Ok(())
     }
 }
 
-/// Why so many frame sets cannot be held beside the ordinary ones, in `may` bytes of memory.
+/// Why this many frame sets cannot be held beside the ordinary ones, in `may` bytes of memory.
 fn refusal(set_bytes: u64, sets: u64, ordinary: u64, rate_hz: f64, may: u64) -> Option<String> {
     let needed = set_bytes.saturating_mul(sets.saturating_add(ordinary));
     let fits = (may / set_bytes.max(1)).saturating_sub(ordinary);
-    // The second that is held beyond what is asked for.
+    // Without the second that is held beyond the requested ones.
     let seconds = |sets: u64| (sets as f64 / rate_hz - 1.0).max(0.0);
     (needed > may).then(|| {
         format!(
-            "{:.1} s before Record need {} MiB of memory for frames; expected at most {} MiB, so that 1 GiB stays free: ask for \
-             at most {:.1} s",
+            "{:.1} s before Record need {} MiB of memory for frames; expected at most {} MiB, so that 1 GiB stays \
+             free: at most {:.1} s",
             seconds(sets),
             needed >> 20,
             may >> 20,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The thread that keeps the link to the HSU during a session: reads its clock, its input lines and its time code, and connects
-//! anew when the link was lost, so that the train's triggers go on being reported from where they broke off.
+//! The thread that keeps the link to the HSU during a session: reads its clock, its input lines and its time code, and
+//! connects anew when the link was lost, so that the train's triggers go on being reported from where they broke off.
 
 use super::camera_keeper::Report;
 use super::input_lines::InputLines;
@@ -15,23 +15,19 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// What it works with.
+/// Everything that the keeper of the link works with.
 pub struct LinkSetup {
     /// The link as it is at the start.
     pub hsu: Arc<Hsu>,
-    /// What it is a link to.
+    /// The unit at the other end of the link.
     pub unit: TriggerUnit,
-    /// Who we are.
     pub node: NodeId,
     /// The session that is being recorded.
     pub session: SessionId,
-    /// The session's clock.
     pub clock: HostClock,
-    /// The recorder.
     pub to_recorder: Sender<RecorderCommand>,
-    /// The node.
     pub reports: Sender<Report>,
-    /// Where a new link goes.
+    /// Receives a new link, once there is one.
     pub back: Sender<Arc<Hsu>>,
 }
 
@@ -44,22 +40,22 @@ enum Order {
     Stop,
 }
 
-/// A running keeper.
+/// The running thread that keeps the link to the HSU during one session.
 pub struct HsuKeeper {
     orders: Sender<Order>,
     thread: JoinHandle<()>,
 }
 
-/// Between two readings of the HSU's clock. Reports bound it from one side a hundred times a second, the other side
-/// has these alone: one a second leaves three times the error (docs/design/experiments.md).
+/// Time between two readings of the HSU's clock. Reports bound it from one side a hundred times a second, the other
+/// side has these alone: one reading a second leaves three times the error (docs/design/experiments.md).
 const CLOCK_INTERVAL: Duration = Duration::from_millis(200);
-/// Time code may stay away for this long before it is printed that there is none.
+/// Time without any time code after which the operator gets a notice.
 const CODE_PATIENCE: Duration = Duration::from_secs(1);
-/// Between two attempts to connect.
+/// Time between two attempts to connect.
 const RETRY_INTERVAL: Duration = Duration::from_millis(200);
 
 impl HsuKeeper {
-    /// Starts the thread.
+    /// Starts the thread, with the link that the session begins with.
     pub fn start(setup: LinkSetup) -> std::io::Result<Self> {
         let (orders, inbox) = bounded(8);
         let thread =
@@ -67,12 +63,12 @@ impl HsuKeeper {
         Ok(Self { orders, thread })
     }
 
-    /// Tells it to connect anew; triggers from number `next` on have not been heard.
+    /// Orders it to connect anew; reports of the triggers from number `next` on are missing.
     pub fn reconnect(&self, next: i64) {
         drop(self.orders.try_send(Order::Reconnect { next }));
     }
 
-    /// Ends it.
+    /// Records the last edges and time codes, and ends the thread.
     pub fn stop(self) {
         drop(self.orders.send(Order::Stop));
         if self.thread.join().is_err() {
@@ -87,22 +83,22 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
     let mut missing = None;
     let mut next_clock = Instant::now() + CLOCK_INTERVAL;
     let code_due = Instant::now() + CODE_PATIENCE;
-    let mut said = None;
+    let mut shown = None;
     let mut inputs = InputLines::default();
     let mut time_code = TimeCodeKeeper::new(unit.time_code_input());
-    let tell = |events: Vec<NodeEvent>| {
+    let record = |events: Vec<NodeEvent>| {
         events.into_iter().for_each(|event| drop(to_recorder.send(RecorderCommand::Event(event))));
     };
     let mut look = |link: &Hsu, time_code: &mut TimeCodeKeeper| {
-        // Named first, so that no edge of it is told.
-        tell(time_code.look(link, clock.now()));
-        tell(inputs.look(|first| link.input_edges(first), clock.now()));
+        // The time code first: once its input is known, its edges are not reported.
+        record(time_code.look(link, clock.now()));
+        record(inputs.look(|first| link.input_edges(first), clock.now()));
     };
     // Once for each change.
     let mut notice = |text: Option<String>| {
-        if text != said {
-            said.clone_from(&text);
-            drop(reports.send(Report::Notice { about: "time code", text }));
+        if text != shown {
+            shown.clone_from(&text);
+            drop(reports.send(Report::Notice("time code", text)));
         }
     };
     if let Some(link) = &hsu {
@@ -122,8 +118,8 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
                     }
                     look(link, &mut time_code);
                 }
-                tell(time_code.finish(clock.now()));
-                notice(time_code.absence());
+                record(time_code.finish(clock.now()));
+                notice(time_code.absence(false));
                 return;
             }
             Ok(Order::Reconnect { next }) => {
@@ -136,12 +132,12 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
         match (&hsu, missing) {
             (Some(link), _) if Instant::now() >= next_clock => {
                 next_clock = Instant::now() + CLOCK_INTERVAL;
-                // A unit that does not say the time is not waited for twice.
+                // A unit that does not answer with its time is not waited for twice.
                 if let Ok(sample) = link.query_clock() {
                     drop(to_recorder.send(RecorderCommand::Clock(hsu_sample(&sample, &clock))));
                     look(link, &mut time_code);
                     if Instant::now() >= code_due {
-                        notice(time_code.absence_so_far());
+                        notice(time_code.absence(true));
                     }
                 }
             }

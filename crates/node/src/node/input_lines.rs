@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Asks the HSU during a session which edges came on its input lines, and makes events of them for the recording.
 
+use super::event_kind::EventKind;
 use crate::hsu::{EDGE_HISTORY, HsuError, INPUTS, InputEdges, Refusal};
 use crate::record::{InputEdge, NodeEvent};
 
-/// What is known of the lines.
+/// The edges of the HSU's inputs that were read so far.
 #[derive(Debug, Default)]
 pub struct InputLines {
     /// Number of the next edge; `None` before the first answer.
@@ -14,21 +15,15 @@ pub struct InputLines {
 }
 
 impl InputLines {
-    /// What came since the last time; nothing where the unit does not answer: it is asked again. `ask` asks it for the edges
-    /// from a number on, at most as often as gives all that a unit remembers; `host_time_ns` is now.
+    /// The edges since the last call, as events; none where the unit does not answer, and the next call repeats the
+    /// request. `ask` requests the edges from a number on, at most as often as gives all that a unit remembers;
+    /// `host_time_ns` is now.
     pub fn look(
         &mut self,
         mut ask: impl FnMut(u64) -> Result<InputEdges, HsuError>,
         host_time_ns: u64,
     ) -> Vec<NodeEvent> {
         let mut events = Vec::new();
-        let told = |kind: &str, message: String| NodeEvent {
-            host_time_ns,
-            kind: kind.to_owned(),
-            camera: None,
-            trigger: None,
-            message,
-        };
         // Each answer has one edge at least, or it is the last.
         for _ in 0..EDGE_HISTORY {
             if self.absent {
@@ -51,14 +46,14 @@ impl InputLines {
                     .collect();
                 if !high.is_empty() {
                     let message = format!("high at the beginning: {}", high.join(", "));
-                    events.push(told("hsu_input_levels", message));
+                    events.push(EventKind::HsuInputLevels.event(host_time_ns, None, message));
                 }
                 break;
             };
             if answer.next < asked {
                 let message =
                     "the HSU counts its input edges anew: it was restarted, and what came before is lost";
-                events.push(told("hsu_inputs_lost", message.to_owned()));
+                events.push(EventKind::HsuInputsLost.event(host_time_ns, None, message));
                 self.next = Some(0);
                 continue;
             }
@@ -68,7 +63,7 @@ impl InputLines {
                 if edge.number > next {
                     let message =
                         format!("{} edges of the HSU's inputs came and were forgotten", edge.number - next);
-                    events.push(told("hsu_inputs_lost", message));
+                    events.push(EventKind::HsuInputsLost.event(host_time_ns, None, message));
                 }
                 next = next.max(edge.number.saturating_add(1));
                 let edge = InputEdge {

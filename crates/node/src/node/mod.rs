@@ -5,6 +5,7 @@
 mod actions;
 mod camera_keeper;
 pub mod devices;
+mod event_kind;
 mod events;
 /// Frame sets of the last seconds, until Record.
 pub mod hold;

@@ -1,47 +1,56 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The node's thread: carries out what the state machine says, and feeds it what happens.
+//! The node's thread: carries out the actions of the state machine, and feeds it with events.
 
 use super::devices::Devices;
+use super::event_kind::{self, EventKind};
 use super::session::Session;
 use super::state_machine::{Action, Event, Machine};
 use crate::acquire::preview::Taps;
 use crate::acquire::recorder::{RecorderCommand, RecorderOptions};
 use crate::base::ids::CameraId;
+use crate::base::time::host_time_ns;
 use crate::base::{Exit, Fault};
 use crate::camera::CameraBackend;
 use crate::config::NodeConfig;
 use crate::control::command::{Command, Reply, SharedStatus};
-use crate::control::request::{ExposureRequest, Phase, SessionRequest};
+use crate::control::request::{ExposureRequest, KeepRequest, Phase, SessionRequest};
 use crate::control::status::{ExposureSet, NodeStatus, Outcome, SessionCommand};
 use crate::host::process_limits::ProcessMemory;
 use crate::host::{heap, realtime};
 use crate::hsu::{ArmRequest, Hsu, HsuError, SessionId, Slope};
-use crate::record::{NodeEvent, free_bytes};
+use crate::record::{free_bytes, node_dir};
 use crate::telemetry::{Current, Telemetry};
 use crossbeam_channel::{Receiver, Sender, bounded, never, select};
 use std::collections::VecDeque;
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, RwLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// The running node.
+/// The running node, as the program holds it. `fourdbody node` starts it with the node file and the camera library; it
+/// owns the devices and the session in progress. It publishes its status after every event, and ends a session in
+/// progress with a verdict before it ends itself.
 pub struct NodeThread {
-    commands: Sender<Command>,
-    status: SharedStatus,
-    taps: [Arc<Taps>; 2],
-    telemetry: Arc<Telemetry>,
+    /// Where the API sends commands.
+    pub commands: Sender<Command>,
+    /// The status as the node's thread last published it.
+    pub status: SharedStatus,
+    /// Samples of frames: for previews, and for the live body.
+    pub taps: [Arc<Taps>; 2],
+    /// The counters of the node's threads.
+    pub telemetry: Arc<Telemetry>,
     stop: Sender<()>,
     thread: JoinHandle<()>,
 }
 
-/// The thread looks around at least this often.
+/// Longest time between two turns of the thread.
 const TICK: Duration = Duration::from_millis(100);
-/// A thread that has not looked around for so long did not run, or was kept waiting by a device.
+/// A thread whose last turn is older than this did not run, or waited for a device.
 const ASLEEP: Duration = Duration::from_secs(1);
 
 impl NodeThread {
-    /// Starts the node's thread.
+    /// Starts the node's thread, which opens the devices.
     pub fn start(config: NodeConfig, backend: Box<dyn CameraBackend>) -> std::io::Result<Self> {
         heap::give_large_blocks_back();
         realtime::configure(&config.realtime);
@@ -89,26 +98,6 @@ impl NodeThread {
         Ok(Self { commands, status, taps, telemetry, stop, thread })
     }
 
-    /// Where the API sends commands.
-    pub fn commands(&self) -> Sender<Command> {
-        self.commands.clone()
-    }
-
-    /// The status as the node's thread last published it.
-    pub fn status(&self) -> SharedStatus {
-        Arc::clone(&self.status)
-    }
-
-    /// Where previews, and where the live body get their samples.
-    pub fn taps(&self) -> [Arc<Taps>; 2] {
-        self.taps.clone()
-    }
-
-    /// What the node's threads count.
-    pub fn telemetry(&self) -> Arc<Telemetry> {
-        Arc::clone(&self.telemetry)
-    }
-
     /// Asks for the end: a session in progress is ended with its verdict, then the thread. Does not wait.
     pub fn request_stop(&self) {
         // One request is enough, and a thread that is gone already needs no telling.
@@ -138,7 +127,7 @@ pub(crate) struct Node {
     pub(crate) telemetry: Arc<Telemetry>,
     /// What this process had before its first session.
     pub(crate) memory: ProcessMemory,
-    /// Whoever waits for the preparation.
+    /// Answers the request for the preparation under way.
     pending: Option<Reply>,
     status: SharedStatus,
     /// From here on time is counted, but for the times in which this thread did not run.
@@ -168,7 +157,7 @@ impl Node {
                 recv(links) -> hsu => if let Ok(hsu) = hsu { self.link_back(hsu) },
                 recv(stopped) -> _ => {
                     stopping = true;
-                    self.take(Event::Abort("the node was told to shut down".to_owned()));
+                    self.take(Event::Abort("the node was shut down".to_owned()));
                 }
                 default(TICK) => {}
             }
@@ -183,22 +172,22 @@ impl Node {
         self.telemetry.node_turns.fetch_add(1, Ordering::Relaxed);
         let asleep = std::mem::replace(&mut self.ticked, Instant::now()).elapsed();
         if asleep > ASLEEP {
-            // What came meanwhile has not been heard yet: nobody was silent but this node.
+            // The reports of the meantime are still in the queues: no device was silent, only this thread.
             self.origin += asleep;
             if self.machine.train_runs() {
                 let text = format!("the node's thread did not run for {:.1} s", asleep.as_secs_f64());
-                self.note("node_asleep", None, &text);
+                self.note(EventKind::NodeAsleep, None, text);
             }
         }
         self.take(Event::Tick);
         if self.machine.phase() == Phase::Idle {
-            // Looking for one device may take seconds: what is known of the others is told before.
+            // Opening one device may take seconds: the state of the others is published before.
             if self.devices.notice_lost() {
                 self.publish();
             }
             self.devices.look_after();
         }
-        self.in_session(Session::tell_warnings);
+        self.in_session(Session::record_warnings);
         self.publish();
     }
 
@@ -217,36 +206,10 @@ impl Node {
     }
 
     fn prepare(&mut self, request: SessionRequest, reply: Reply) {
-        let refuse = |reply: Reply, message: String| drop(reply.send(Err(Fault::new(Exit::Usage, message))));
-        if self.machine.phase() != Phase::Idle {
-            return refuse(reply, format!("the node is busy with a session ({:?})", self.machine.phase()));
-        }
-        let name = match request.check() {
-            Ok(name) => name,
-            Err(message) => return refuse(reply, message),
+        let dir = match self.accept(&request) {
+            Ok(dir) => dir,
+            Err(message) => return drop(reply.send(Err(Fault::new(Exit::Usage, message)))),
         };
-        if !request.nodes.contains(&self.config.node) {
-            return refuse(
-                reply,
-                format!("the session is for other nodes, this one is {}", self.config.node),
-            );
-        }
-        if let Some(edge) = request.start_on.filter(|_| self.config.trigger.action().is_some()) {
-            let message = format!(
-                "a start at the {edge}; expected an HSU, which has inputs: this node triggers by action commands"
-            );
-            return refuse(reply, message);
-        }
-        if let Some(edge) =
-            request.start_on.filter(|edge| Some(edge.line) == self.devices.unit().time_code_input())
-        {
-            let message = format!(
-                "a start at the {edge}; expected another input: input {} carries time code (hsu.time_code_input)",
-                edge.line
-            );
-            return refuse(reply, message);
-        }
-        let dir = self.config.sessions_dir.join(name.as_str()).join(format!("node-{}", self.config.node));
         tracing::info!(session = request.name, triggers = request.triggers, "preparing");
         self.pending = Some(reply);
         let mut session = Session::new(request.clone(), dir, self.config.cameras.len());
@@ -260,7 +223,33 @@ impl Node {
         self.take(Event::Prepare(request));
     }
 
-    /// Sets exposure and gain while nobody needs the cameras.
+    /// Where this node records a session; or why it cannot take part in it.
+    fn accept(&self, request: &SessionRequest) -> Result<PathBuf, String> {
+        let (node, phase) = (&self.config.node, self.machine.phase());
+        if phase != Phase::Idle {
+            return Err(format!("the node is busy with a session ({phase:?})"));
+        }
+        let name = request.check()?;
+        if !request.nodes.contains(node) {
+            return Err(format!("the session is for other nodes, this one is {node}"));
+        }
+        if let Some(edge) = request.start_on {
+            if self.config.trigger.action().is_some() {
+                return Err(format!(
+                    "a start at the {edge}; expected an HSU, which has inputs: this node triggers by action commands"
+                ));
+            }
+            if Some(edge.line) == self.devices.unit().time_code_input() {
+                return Err(format!(
+                    "a start at the {edge}; expected another input: input {} carries time code (hsu.time_code_input)",
+                    edge.line
+                ));
+            }
+        }
+        Ok(node_dir(&self.config.sessions_dir.join(name.as_str()), node))
+    }
+
+    /// Sets exposure and gain between sessions.
     fn expose(&mut self, request: &ExposureRequest) -> Result<ExposureSet, Fault> {
         let phase = self.machine.phase();
         if phase != Phase::Idle {
@@ -290,14 +279,18 @@ impl Node {
     fn session_command(&mut self, command: &SessionCommand, reply: Reply, event: Event) {
         let ours = self.machine.request().is_some_and(|request| request.session_id == command.session_id);
         let phase = self.machine.phase();
-        let answer = match (ours, &event) {
-            (false, _) => Err(Fault::new(Exit::Usage, "the node is not in this session (any more)")),
-            (true, Event::Start) if phase != Phase::Ready => {
-                Err(Fault::new(Exit::Usage, format!("the session cannot be started, it is {phase:?}")))
+        let usage = |message: String| Err(Fault::new(Exit::Usage, message));
+        let answer = match event {
+            _ if !ours => usage("the node is not in this session".to_owned()),
+            Event::Start if phase != Phase::Ready => {
+                usage(format!("the session cannot be started, it is {phase:?}"))
             }
             // The answer to a start is the HSU's.
-            (true, Event::Start) => self.start_train(),
-            (true, _) => {
+            Event::Start => {
+                let actions = self.machine.step(event, self.origin.elapsed());
+                if actions.contains(&Action::StartTrain) { self.start_on_hsu() } else { Ok(()) }
+            }
+            _ => {
                 self.take(event);
                 Ok(())
             }
@@ -305,17 +298,7 @@ impl Node {
         drop(reply.send(answer));
     }
 
-    fn start_train(&mut self) -> Result<(), Fault> {
-        let mut answer = Ok(());
-        for action in self.machine.step(Event::Start, self.origin.elapsed()) {
-            if action == Action::StartTrain {
-                answer = self.start_on_hsu();
-            }
-        }
-        answer
-    }
-
-    /// Steps the machine, and carries out what it says until it says nothing more.
+    /// Steps the machine, and carries out its actions until there are no more.
     pub(crate) fn take(&mut self, event: Event) {
         let mut events = VecDeque::from([event]);
         while let Some(event) = events.pop_front() {
@@ -323,7 +306,7 @@ impl Node {
             let preparing = begins || self.machine.phase() == Phase::Preparing;
             let actions = self.machine.step(event, self.origin.elapsed());
             if begins {
-                // Devices take their time: whoever asks meanwhile is told for what.
+                // Devices take their time: the status shows meanwhile for which session.
                 self.publish();
             }
             for action in actions {
@@ -333,7 +316,7 @@ impl Node {
                     Ok(()) if step && still => events.push_back(Event::StepDone),
                     Ok(()) => {}
                     Err(fault) if still => events.push_back(Event::Failed(fault)),
-                    // What undoes or ends something is tried, and its failure is told.
+                    // An action that undoes or ends something is tried, and its failure is logged.
                     Err(fault) => tracing::warn!("{}", fault.message),
                 }
             }
@@ -349,11 +332,11 @@ impl Node {
                     self.telemetry.applied(&camera.id, camera.settings.clone());
                 }
                 self.in_session(|session| session.has_cameras(cameras));
-                self.check_memory()
+                self.check_memory()?;
             }
-            Action::CreateRecording => self.create_recording(),
-            Action::StartStreams => self.start_streams(),
-            Action::SilenceGate => self.silence_gate(),
+            Action::CreateRecording => self.create_recording()?,
+            Action::StartStreams => self.start_streams()?,
+            Action::SilenceGate => self.silence_gate()?,
             Action::ArmHsu => {
                 let Some(session) = &self.session else { return Ok(()) };
                 let request = session.request.clone();
@@ -366,39 +349,29 @@ impl Node {
                 };
                 hsu.arm(&arm).map_err(hsu_fault)?;
                 self.in_session(|session| session.next_trigger = -i64::from(arm.warm_up));
-                Ok(())
             }
-            Action::ReportReady => {
-                self.answer(Ok(()));
-                Ok(())
-            }
+            Action::ReportReady => self.answer(Ok(())),
             Action::ReportFailed(fault) => {
                 tracing::warn!("session failed: {}", fault.message);
                 self.in_session(|session| session.outcome = Some(Outcome::Failed(fault.clone())));
                 self.answer(Err(fault));
-                Ok(())
             }
-            Action::StartTrain => self.start_on_hsu(),
-            Action::StopTrain => self.on_hsu(|hsu, session| hsu.stop(session)),
-            Action::DisarmHsu => self.on_hsu(|hsu, session| hsu.disarm(session)),
-            Action::StopStreams => {
-                self.stop_streams();
-                Ok(())
-            }
-            Action::DiscardRecording => self.discard_recording(),
-            Action::Keep { first, pressed } => {
-                self.in_session(|session| session.tell(RecorderCommand::Keep { first, pressed }));
-                Ok(())
+            Action::StartTrain => self.start_on_hsu()?,
+            Action::StopTrain => self.on_hsu(|hsu, session| hsu.stop(session))?,
+            Action::DisarmHsu => self.on_hsu(|hsu, session| hsu.disarm(session))?,
+            Action::StopStreams => self.stop_streams(),
+            Action::DiscardRecording => self.discard_recording()?,
+            Action::Keep(KeepRequest { first, pressed, .. }) => {
+                self.in_session(|session| session.send(RecorderCommand::Keep { first, pressed }))
             }
             Action::Drain { emitted } => {
-                self.in_session(|session| session.tell(RecorderCommand::Drain { emitted }));
-                Ok(())
+                self.in_session(|session| session.send(RecorderCommand::Drain { emitted }))
             }
             Action::CloseRecording { aborted } => {
-                self.in_session(|session| session.tell(RecorderCommand::Close { aborted }));
-                Ok(())
+                self.in_session(|session| session.send(RecorderCommand::Close { aborted }))
             }
         }
+        Ok(())
     }
 
     pub(crate) fn in_session(&mut self, change: impl FnOnce(&mut Session)) {
@@ -427,17 +400,12 @@ impl Node {
         }
     }
 
-    pub(crate) fn note(&mut self, kind: &str, camera: Option<CameraId>, message: &str) {
-        tracing::warn!(kind, "{message}");
-        let Some(session) = &self.session else { return };
-        let event = NodeEvent {
-            host_time_ns: session.clock.now(),
-            kind: kind.to_owned(),
-            camera,
-            trigger: None,
-            message: message.to_owned(),
-        };
-        session.tell(RecorderCommand::Event(event));
+    /// Logs an event as a warning, and records it where there is a session.
+    pub(crate) fn note(&self, kind: EventKind, camera: Option<CameraId>, message: impl Into<String>) {
+        match &self.session {
+            Some(session) => session.warn(session.event(kind, camera, message)),
+            None => event_kind::warn(&kind.event(host_time_ns(), camera, message)),
+        }
     }
 
     fn publish(&mut self) {

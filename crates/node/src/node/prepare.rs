@@ -3,6 +3,7 @@
 
 use super::camera_keeper::{Report, counters_text};
 use super::devices::{PreparedCamera, unique_id};
+use super::event_kind::EventKind;
 use super::hold::held_sets;
 use super::hsu_keeper::{HsuKeeper, LinkSetup};
 use super::node_thread::{Node, hsu_session};
@@ -15,8 +16,7 @@ use crate::camera::AppliedSetting;
 use crate::config::FeatureSetting;
 use crate::matcher::{Matcher, Start};
 use crate::record::{
-    CameraHeader, ClockSample, HsuIdentity, NOT_ASKED, NodeEvent, RecordError, Recording, RecordingHeader,
-    SETTING_CHANGED, WriterOptions,
+    CameraHeader, ClockSample, HsuIdentity, RecordError, Recording, RecordingHeader, WriterOptions,
 };
 use crossbeam_channel::{bounded, unbounded};
 use std::path::Path;
@@ -32,12 +32,11 @@ impl Node {
         };
         let camera = |camera: &PreparedCamera| CameraHeader {
             id: camera.id.clone(),
-            width: u32::try_from(camera.contract.size.0).unwrap_or(u32::MAX),
-            height: u32::try_from(camera.contract.size.1).unwrap_or(u32::MAX),
-            device: format!(
-                "{} {} {}",
-                camera.identity.vendor, camera.identity.model, camera.identity.serial
-            ),
+            width: pixels(camera.contract.size.0),
+            height: pixels(camera.contract.size.1),
+            device: [&camera.identity.vendor, &camera.identity.model, &camera.identity.serial]
+                .map(String::as_str)
+                .join(" "),
             pixel_format: camera.contract.pixel.name().to_owned(),
             settings: camera.settings.iter().map(read_back).collect(),
             state: camera.state.clone(),
@@ -78,13 +77,7 @@ impl Node {
         })?;
         let absent = self.config.rig.nodes().into_iter().filter(|node| !request.nodes.contains(node));
         for node in absent {
-            let event = NodeEvent {
-                host_time_ns: session.clock.now(),
-                kind: NOT_ASKED.to_owned(),
-                camera: None,
-                trigger: None,
-                message: node.to_string(),
-            };
+            let event = session.event(EventKind::NodeNotAsked, None, node.to_string());
             recording.event(&event).map_err(|error| Fault::new(Exit::Failure, error))?;
         }
         self.telemetry.recording(recording.progress());
@@ -108,8 +101,8 @@ impl Node {
         };
         let lane = |camera: &PreparedCamera| LaneSetup {
             id: camera.id.clone(),
-            width: u32::try_from(camera.contract.size.0).unwrap_or(u32::MAX),
-            height: u32::try_from(camera.contract.size.1).unwrap_or(u32::MAX),
+            width: pixels(camera.contract.size.0),
+            height: pixels(camera.contract.size.1),
             matcher: Matcher::new(start),
         };
         let lanes: Vec<LaneSetup> = session.cameras.iter().map(lane).collect();
@@ -137,32 +130,17 @@ impl Node {
         .map_err(thread_error)?;
         session.recorder = Some(recorder);
         session.from_recorder = from_recorder;
-        samples.into_iter().for_each(|sample| drop(to_recorder.send(RecorderCommand::Clock(sample))));
-        for (camera, reason) in self.devices.without_clock() {
-            tracing::warn!(%camera, kind = "no_camera_clock", "{reason}");
-            let event = NodeEvent {
-                host_time_ns: session.clock.now(),
-                kind: "no_camera_clock".to_owned(),
-                camera: Some(camera),
-                trigger: None,
-                message: format!("its clock cannot be read, and its stamps have no witness: {reason}"),
-            };
-            drop(to_recorder.send(RecorderCommand::Event(event)));
-        }
-        for (camera, told) in
-            session.cameras.iter().flat_map(|c| c.told.iter().map(move |told| (&c.id, told)))
-        {
-            tracing::warn!(%camera, kind = "camera_setting", "{told}");
-            let event = NodeEvent {
-                host_time_ns: session.clock.now(),
-                kind: "camera_setting".to_owned(),
-                camera: Some(camera.clone()),
-                trigger: None,
-                message: told.clone(),
-            };
-            drop(to_recorder.send(RecorderCommand::Event(event)));
-        }
         session.to_recorder = Some(to_recorder.clone());
+        samples.into_iter().for_each(|sample| session.send(RecorderCommand::Clock(sample)));
+        for (camera, reason) in self.devices.without_clock() {
+            let message = format!("its clock cannot be read, and its stamps have no witness: {reason}");
+            session.warn(session.event(EventKind::NoCameraClock, Some(camera), message));
+        }
+        for camera in &session.cameras {
+            for remark in &camera.told {
+                session.warn(session.event(EventKind::CameraSetting, Some(camera.id.clone()), remark));
+            }
+        }
         let receivers: Vec<ReceiverSetup> = (0..cameras)
             .map(|camera| ReceiverSetup {
                 camera,
@@ -204,38 +182,24 @@ impl Node {
         let attendants = std::mem::take(&mut session.attendants);
         let counters = self.devices.stop_streams(attendants);
         for (camera, counters) in session.cameras.iter().zip(counters) {
-            let event = NodeEvent {
-                host_time_ns: session.clock.now(),
-                kind: "stream_counters".to_owned(),
-                camera: Some(camera.id.clone()),
-                trigger: None,
-                message: counters_text(&counters),
-            };
-            session.tell(RecorderCommand::Event(event));
+            let (id, text) = (Some(camera.id.clone()), counters_text(&counters));
+            session.record(session.event(EventKind::StreamCounters, id, text));
         }
         for (camera, changed) in self.devices.changed_settings() {
             let changes: Vec<String> =
                 changed.iter().map(|(name, was, is)| format!("{name} was {was}, is {is}")).collect();
-            let event = NodeEvent {
-                host_time_ns: session.clock.now(),
-                kind: SETTING_CHANGED.to_owned(),
-                camera: Some(camera.clone()),
-                trigger: None,
-                message: changes.join("; "),
-            };
-            tracing::warn!(%camera, kind = SETTING_CHANGED, "{}", event.message);
-            session.tell(RecorderCommand::Event(event));
+            session.warn(session.event(EventKind::SettingChanged, Some(camera), changes.join("; ")));
         }
-        self.tell_actions();
+        self.record_actions();
         let Some(session) = &mut self.session else { return };
-        // A camera that was asked whether it still answers is found lost 2.5 s later, while this thread waited for its
-        // attendant: the recording must say so before it is closed.
+        // A camera that is probed is found lost 2.5 s later, while this thread waited for its attendant: the recording
+        // must have that report before it is closed.
         let last_words: Vec<Report> = session.reports.try_iter().collect();
         last_words.into_iter().for_each(|report| self.attendant_reports(report));
         let dropped = self.devices.hsu().map_or(0, |hsu| hsu.dropped_events());
         if dropped > 0 {
             let text = format!("{dropped} events of the HSU gave way, unread, since its link was opened");
-            self.note("hsu_events_dropped", None, &text);
+            self.note(EventKind::HsuEventsDropped, None, text);
         }
     }
 
@@ -253,6 +217,10 @@ impl Node {
         remove_if_empty(&dir);
         removed.map_err(|e| Fault::new(Exit::Failure, format!("{}: cannot be removed: {e}", dir.display())))
     }
+}
+
+fn pixels(side: usize) -> u32 {
+    u32::try_from(side).unwrap_or(u32::MAX)
 }
 
 /// The HSU's clock minus the host's, ns, by the exchange with the shortest round trip.

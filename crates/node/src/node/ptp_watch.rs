@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The PTP status of a camera while a session runs: noted for the recording, and passed on to whoever schedules actions by
-//! its clock.
+//! The PTP status of a camera while a session runs: recorded, and passed on to the scheduler of actions.
 
 use crate::base::ids::CameraId;
 use crate::camera::{Camera, CameraError};

@@ -3,9 +3,11 @@
 
 use super::camera_keeper::{CameraKeeper, Report};
 use super::devices::PreparedCamera;
+use super::event_kind::{self, EventKind};
 use super::hsu_keeper::HsuKeeper;
 use super::silence::SilenceWatch;
 use crate::acquire::recorder::{Progress, RecorderCommand, RecorderEvent, Sink};
+use crate::base::ids::CameraId;
 use crate::base::time::HostClock;
 use crate::control::request::{KeepRequest, SessionRequest};
 use crate::control::status::{CameraProgress, Held, Outcome, SessionStatus};
@@ -20,7 +22,8 @@ use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
 use std::time::Instant;
 
-/// A session from its preparation on.
+/// A session from its preparation on. The node's thread makes it for each request, and it owns the threads that record
+/// it until they have ended. Its outcome stays in the status until the next session is prepared.
 pub(crate) struct Session {
     pub(crate) request: SessionRequest,
     pub(crate) dir: PathBuf,
@@ -43,21 +46,20 @@ pub(crate) struct Session {
     pub(crate) next_trigger: i64,
     pub(crate) silence: SilenceWatch,
     /// When a trigger was last reported.
-    pub(crate) listened: Option<Instant>,
+    pub(crate) last_trigger: Option<Instant>,
     pub(crate) outcome: Option<Outcome>,
-    /// Where Record was pressed.
     pub(crate) kept: Option<KeepRequest>,
     /// Frames that fit into the ring.
     pub(crate) ring_capacity: u64,
-    /// What whoever captures must know at once, by what it is about.
+    /// Notices that the operator must see at once, by their subject.
     notices: BTreeMap<String, String>,
     /// How many of the process's warnings are in the recording.
-    warnings_told: usize,
+    warnings_recorded: usize,
 }
 
 impl Session {
     pub(crate) fn new(request: SessionRequest, dir: PathBuf, cameras: usize) -> Self {
-        // At most one report a camera and a second; whoever has no session any more drops them.
+        // At most one report a camera and a second; a node without a session drops them.
         let (reports_in, reports) = unbounded();
         let (links_in, links) = unbounded();
         Self {
@@ -78,12 +80,12 @@ impl Session {
             links_in,
             next_trigger: 0,
             silence: SilenceWatch::new(cameras),
-            listened: None,
+            last_trigger: None,
             outcome: None,
             kept: None,
             ring_capacity: 0,
             notices: BTreeMap::new(),
-            warnings_told: 0,
+            warnings_recorded: 0,
         }
     }
 
@@ -92,14 +94,34 @@ impl Session {
         self.cameras = cameras;
     }
 
-    pub(crate) fn tell(&self, message: RecorderCommand) {
+    pub(crate) fn send(&self, message: RecorderCommand) {
         if let Some(recorder) = &self.to_recorder {
             // A recorder that is gone is noticed by its event channel.
             drop(recorder.send(message));
         }
     }
 
-    /// Lets whoever captures know at once; `None`: what was said about this does not hold any more.
+    /// An event of this session, now.
+    pub(crate) fn event(
+        &self,
+        kind: EventKind,
+        camera: Option<CameraId>,
+        text: impl Into<String>,
+    ) -> NodeEvent {
+        kind.event(self.clock.now(), camera, text)
+    }
+
+    pub(crate) fn record(&self, event: NodeEvent) {
+        self.send(RecorderCommand::Event(event));
+    }
+
+    /// Logs an event as a warning, and records it.
+    pub(crate) fn warn(&self, event: NodeEvent) {
+        event_kind::warn(&event);
+        self.record(event);
+    }
+
+    /// Shows the operator a notice at once; `None`: the notice on this subject does not hold any more.
     pub(crate) fn notice(&mut self, about: &str, text: Option<String>) {
         match text {
             Some(text) => drop(self.notices.insert(about.to_owned(), text)),
@@ -107,27 +129,23 @@ impl Session {
         }
     }
 
-    /// Puts what the system refused into the recording, once each.
-    pub(crate) fn tell_warnings(&mut self) {
+    /// Puts the system's refusals into the recording, once each.
+    pub(crate) fn record_warnings(&mut self) {
         if self.to_recorder.is_none() {
             return;
         }
         let warnings = realtime::warnings();
-        for warning in warnings.iter().skip(self.warnings_told) {
-            self.tell(RecorderCommand::Event(NodeEvent {
-                host_time_ns: self.clock.now(),
-                kind: warning.kind.to_owned(),
-                camera: None,
-                trigger: None,
-                message: warning.message.clone(),
-            }));
+        for warning in warnings.iter().skip(self.warnings_recorded) {
+            let (kind, message) = (warning.kind.to_owned(), warning.message.clone());
+            let host_time_ns = self.clock.now();
+            self.record(NodeEvent { host_time_ns, kind, camera: None, trigger: None, message });
         }
-        self.warnings_told = warnings.len();
+        self.warnings_recorded = warnings.len();
     }
 
     /// Ends the recorder's thread, if it has not ended by itself.
     pub(crate) fn end_recorder(&mut self) {
-        self.tell(RecorderCommand::Discard);
+        self.send(RecorderCommand::Discard);
         self.to_recorder = None;
         self.from_recorder = never();
         if let Some(thread) = self.recorder.take()
@@ -137,7 +155,7 @@ impl Session {
         }
     }
 
-    /// `holding`: it waits for Record.
+    /// The session's part of the node's status; `holding`: it waits for Record.
     pub(crate) fn status(&self, holding: bool) -> SessionStatus {
         let load = |counter: &std::sync::atomic::AtomicU64| counter.load(Ordering::Relaxed);
         let cameras = self.cameras.iter().enumerate().map(|(i, camera)| CameraProgress {

@@ -1,22 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Notices, from trigger to trigger, which cameras have stopped sending. Pure.
 
-/// Triggers that go by without anything heard before a camera counts as silent.
+/// Triggers that pass without a packet of a camera before it counts as silent.
 pub const SILENT_TRIGGERS: u64 = 3;
 
-/// A change.
+/// A camera has stopped sending, or sends again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Notice {
-    /// Nothing was heard of the camera for [`SILENT_TRIGGERS`] triggers.
+    /// The camera sent nothing for [`SILENT_TRIGGERS`] triggers.
     Silent {
-        /// Its place.
         camera: usize,
         /// The first of these triggers.
         since: u64,
     },
-    /// It is heard again.
     HeardAgain {
-        /// Its place.
         camera: usize,
         /// The trigger at which that was noticed.
         at: u64,
@@ -24,9 +21,9 @@ pub enum Notice {
 }
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Ear {
+struct Counter {
     heard: u64,
-    /// The first trigger after which nothing was heard.
+    /// The first trigger after which nothing was received.
     quiet_since: u64,
     silent: bool,
 }
@@ -34,40 +31,40 @@ struct Ear {
 /// All cameras of a node.
 #[derive(Debug)]
 pub struct SilenceWatch {
-    ears: Vec<Ear>,
+    counters: Vec<Counter>,
 }
 
 impl SilenceWatch {
-    /// Nothing heard yet.
+    /// A watch of this many cameras, none of them silent.
     pub fn new(cameras: usize) -> Self {
-        Self { ears: vec![Ear::default(); cameras] }
+        Self { counters: vec![Counter::default(); cameras] }
     }
 
     /// Whether a camera is silent now.
     pub fn is_silent(&self, camera: usize) -> bool {
-        self.ears.get(camera).is_some_and(|ear| ear.silent)
+        self.counters.get(camera).is_some_and(|counter| counter.silent)
     }
 
-    /// A trigger was reported close behind another one, because reports were held up: it counts for nobody's silence.
+    /// A trigger was reported close behind another one, because reports were held up: it makes no camera silent.
     pub fn pass_over(&mut self) {
-        for ear in self.ears.iter_mut().filter(|ear| !ear.silent) {
-            ear.quiet_since += 1;
+        for counter in self.counters.iter_mut().filter(|counter| !counter.silent) {
+            counter.quiet_since += 1;
         }
     }
 
-    /// Trigger `index` was reported; `heard` grows with everything that comes from each camera.
+    /// Trigger `index` was reported; `heard` are the counters of received packets, one a camera.
     pub fn on_trigger(&mut self, index: u64, heard: impl IntoIterator<Item = u64>) -> Vec<Notice> {
         let mut notices = Vec::new();
-        for (camera, (ear, heard)) in self.ears.iter_mut().zip(heard).enumerate() {
-            if heard != ear.heard {
-                // What was heard up to now may be the frame of an earlier trigger: this one is yet to come.
-                (ear.heard, ear.quiet_since) = (heard, index);
-                if std::mem::take(&mut ear.silent) {
+        for (camera, (counter, heard)) in self.counters.iter_mut().zip(heard).enumerate() {
+            if heard != counter.heard {
+                // The packets so far may belong to the frame of an earlier trigger: those of this one are yet to come.
+                (counter.heard, counter.quiet_since) = (heard, index);
+                if std::mem::take(&mut counter.silent) {
                     notices.push(Notice::HeardAgain { camera, at: index });
                 }
-            } else if !ear.silent && index >= ear.quiet_since + SILENT_TRIGGERS {
-                ear.silent = true;
-                notices.push(Notice::Silent { camera, since: ear.quiet_since });
+            } else if !counter.silent && index >= counter.quiet_since + SILENT_TRIGGERS {
+                counter.silent = true;
+                notices.push(Notice::Silent { camera, since: counter.quiet_since });
             }
         }
         notices
@@ -91,7 +88,9 @@ mod tests {
                 }
             }
             let silent: Vec<Notice> = notices.iter().copied().filter(|n| matches!(n, Notice::Silent { .. })).collect();
-            let of = |n: &Notice| match n { Notice::Silent { camera, .. } | Notice::HeardAgain { camera, .. } => *camera };
+            let of = |n: &Notice| match n {
+                Notice::Silent { camera, .. } | Notice::HeardAgain { camera, .. } => *camera,
+            };
             prop_assert_eq!(notices.iter().filter(|n| of(n) != 0).count(), 0, "the other camera never fell silent");
             if length >= SILENT_TRIGGERS {
                 prop_assert_eq!(silent, [Notice::Silent { camera: 0, since: start }]);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The silence before a session: no camera may send while there is no trigger, its frames could be taken for those of the
-//! first ones.
+//! The silence before a session: no camera may send while there is no trigger, its frames could be taken for those of
+//! the first ones.
 //!
-//! Some cameras send one frame that they have left over when their acquisition starts. Where silence follows it, longer
-//! than the usual one, it is known for what it is, and left out by name.
+//! Some cameras send one frame that they have left over when their acquisition starts. Where silence follows it,
+//! longer than the usual one, it is known for what it is, and left out by name.
 
 use super::node_thread::Node;
 use crate::acquire::recorder::RecorderCommand;
@@ -11,33 +11,31 @@ use crate::base::{Exit, Fault};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-/// Trigger periods of silence before arming, at least.
+/// Least duration of the silence before arming, in trigger periods.
 const PERIODS: u32 = 10;
-/// Slow triggers and a frame do not make the silence longer than this.
+/// Longest silence that slow triggers or a stray frame can require.
 const AT_MOST: Duration = Duration::from_secs(2);
-/// After a frame that nobody triggered the silence must be longer by this factor.
+/// After a frame without a trigger the silence must be longer by this factor.
 const AFTER_A_FRAME: u32 = 4;
-/// Between two looks.
+/// Time between two looks at the packet counters.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// How a silence goes.
+/// What the counters show so far.
 #[derive(Debug, PartialEq, Eq)]
 enum Heard {
-    /// It is not over.
     Wait,
-    /// It was kept.
     Silence,
-    /// By these cameras it was not.
+    /// These cameras sent frames in spite of it.
     Loud(Vec<usize>),
 }
 
-/// Judges what is heard of cameras from the start of their streams. Pure.
+/// Judges the packet counters of the cameras from the start of their streams. Pure.
 #[derive(Debug)]
 struct Gate {
     silence: Duration,
-    /// Of each camera what was heard so far, packets.
+    /// Packets of each camera so far.
     heard: Vec<u64>,
-    /// When something was heard last.
+    /// Time of the last change of a counter, since the start.
     since: Duration,
 }
 
@@ -74,7 +72,7 @@ impl Gate {
 }
 
 impl Node {
-    /// Waits for silence; what was sent before it is nobody's.
+    /// Waits for silence; frames that were sent before it belong to no trigger.
     pub(crate) fn silence_gate(&mut self) -> Result<(), Fault> {
         let gate = self.config.silence_gate;
         let Some(session) = self.session.as_ref().filter(|_| !gate.is_zero()) else { return Ok(()) };
@@ -96,7 +94,7 @@ impl Node {
                 }
             }
         }
-        session.tell(RecorderCommand::Silent { until_ns: session.clock.now() });
+        session.send(RecorderCommand::Silent { until_ns: session.clock.now() });
         Ok(())
     }
 }
@@ -105,9 +103,9 @@ fn loud(names: &[&str]) -> Fault {
     Fault::new(
         Exit::Device,
         format!(
-            "{} sent frames although nothing was triggered; expected silence before the start, but for one stray frame of a \
-             camera: check TriggerMode and TriggerSource in the node file, and that nothing else drives the trigger line; a \
-             camera that must send by itself needs silence_gate_ms = 0",
+            "{} sent frames although nothing was triggered; expected silence before the start, but for one stray \
+             frame of a camera: check TriggerMode and TriggerSource in the node file, and that nothing else drives the trigger \
+             line; a camera that must send by itself needs silence_gate_ms = 0",
             names.join(", ")
         ),
     )
@@ -120,7 +118,7 @@ mod tests {
 
     const SILENCE: u64 = 250;
 
-    /// Looks every 10 ms at two cameras, of which the second has sent so much by then; what is said, and when, ms.
+    /// Looks every 10 ms at two cameras, of which the second has sent this much by then; the result, and its time, ms.
     fn judged(heard: impl Fn(u64) -> (u64, u64)) -> (Heard, u64) {
         let mut gate = Gate::new(Duration::from_millis(SILENCE), 2);
         let look = |ms| match gate.look(Duration::from_millis(ms), &[(0, 0), heard(ms)]) {

@@ -8,21 +8,21 @@
 //!   +<--------------------------------- recording closed -------------------- Draining --all in--> Closing
 //! ```
 //!
-//! Where seconds before Record are wanted it is Ready --first trigger--> Holding --Record--> Running; whatever else ends
-//! Holding is undone, as in Ready.
+//! Where seconds before Record are wanted it is Ready --first trigger--> Holding --Record--> Running; whatever else
+//! ends Holding is undone, as in Ready.
 //!
 //! Invariants: an action that acquires something is undone by exactly one later action, whatever happens in
 //! between; a recording that saw a trigger is closed with a verdict, one that saw none is discarded; the
 //! train is started only when this node and, by the HSU, every other node is ready.
 
 use crate::base::{Exit, Fault};
-use crate::control::request::{Phase, SessionRequest};
+use crate::control::request::{KeepRequest, Phase, SessionRequest};
 use std::time::Duration;
 
-/// What happened.
+/// What has happened to the session, its devices or its operator's requests.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Event {
-    /// An operator asks for a session.
+    /// An operator requests a session.
     Prepare(SessionRequest),
     /// The action just carried out during preparation succeeded.
     StepDone,
@@ -33,20 +33,14 @@ pub enum Event {
     /// The HSU reports a trigger.
     Trigger,
     /// An operator wants to keep what is held, from a trigger of the train on.
-    Keep {
-        /// The recording's trigger 0.
-        first: u64,
-        /// Where Record was pressed.
-        pressed: u64,
-    },
+    Keep(KeepRequest),
     /// The HSU reports the end of the train.
     TrainDone {
         /// How many triggers it emitted.
         emitted: u64,
     },
-    /// The link to the HSU is lost, and is looked for: the train goes on meanwhile.
+    /// The link to the HSU is lost, and is being restored: the train goes on meanwhile.
     LinkLost,
-    /// It is back.
     LinkBack,
     /// Every camera has an outcome for every trigger, or will not get one any more.
     Drained,
@@ -56,7 +50,6 @@ pub enum Event {
     Stop,
     /// An operator, or the other node's failure, gives the session up.
     Abort(String),
-    /// Time passes.
     Tick,
 }
 
@@ -65,7 +58,6 @@ pub enum Event {
 pub enum Action {
     /// Open what is not open, apply and read back settings, connect to the HSU.
     PrepareDevices,
-    /// Create the recording.
     CreateRecording,
     /// Start fresh streams on all cameras.
     StartStreams,
@@ -73,62 +65,59 @@ pub enum Action {
     SilenceGate,
     /// Configure and arm this node's link of the HSU.
     ArmHsu,
-    /// Tell the operator that the node is ready.
+    /// Answer the operator that the node is ready.
     ReportReady,
-    /// Tell the operator that preparation failed.
+    /// Answer the operator that preparation failed, with the reason.
     ReportFailed(Fault),
-    /// Ask the HSU for the train.
+    /// Request the train from the HSU.
     StartTrain,
-    /// Ask the HSU to end the train after the current trigger.
+    /// Request from the HSU to end the train after the current trigger.
     StopTrain,
     /// Take this node's arming back.
     DisarmHsu,
-    /// Stop acquisition and streams.
     StopStreams,
     /// Remove the recording: no trigger was seen.
     DiscardRecording,
     /// Record what is held, and what comes.
-    Keep {
-        /// The recording's trigger 0.
-        first: u64,
-        /// Where Record was pressed.
-        pressed: u64,
-    },
+    Keep(KeepRequest),
     /// Wait for the frames of all triggers.
     Drain {
-        /// How many triggers there were, where the HSU said so.
+        /// How many triggers there were, where the HSU reported it.
         emitted: Option<u64>,
     },
     /// Write gap records and verdict, and close the recording.
     CloseRecording {
-        /// Why the session did not end as asked for.
+        /// Why the session did not end as requested.
         aborted: Option<String>,
     },
 }
 
-/// A node that is ready but is not started gives up after this long.
+/// A node that is ready but is not started gives up after this time.
 pub const READY_TIMEOUT: Duration = Duration::from_secs(120);
-/// Frames are held no longer than this: nobody pressed Record, and the projectors are warm for nothing.
+/// Frames are held no longer than this without Record, so that the projectors are not lit in vain.
 pub const HOLD_TIMEOUT: Duration = Duration::from_secs(30 * 60);
-/// A train that stays silent this long (or 20 periods, if longer) has failed.
+/// A train without a reported trigger for this time (or 20 periods, if longer) has failed.
 pub const SILENCE_TIMEOUT: Duration = Duration::from_secs(3);
-/// A link to the HSU that was lost during a train is waited for this long.
+/// Longest time to wait for a link to the HSU that was lost during a train.
 pub const LINK_TIMEOUT: Duration = Duration::from_secs(60);
-/// The end of a train is waited for no longer than this (or 200 periods, if longer): a node that broke off without its link
-/// to the HSU cannot stop the train, and frames may come for as long as the other node lets it run.
+/// The end of a train is waited for no longer than this (or 200 periods, if longer): a node that broke off without its
+/// link to the HSU cannot stop the train, and frames may come for as long as the other node lets it run.
 pub const DRAIN_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// The state of one node's session.
+/// The state of one node's session. The node's thread makes one at its start and owns it as long as it lives. Given
+/// the same events and times it returns the same actions; it never undoes an action twice, and every recording that
+/// saw a trigger is closed with a verdict. It is idle again when the session has ended.
 #[derive(Debug, Clone)]
 pub struct Machine {
     phase: Phase,
-    done: Vec<Action>,
+    /// How many steps of the preparation are done.
+    done: usize,
     request: Option<SessionRequest>,
     aborted: Option<String>,
     last_activity: Duration,
     silence_timeout: Duration,
     drain_timeout: Duration,
-    /// Since when it has been [`Phase::Draining`], and [`Phase::Holding`].
+    /// When it was last not [`Phase::Draining`], and not [`Phase::Holding`].
     draining_since: Duration,
     holding_since: Duration,
     link_lost: bool,
@@ -148,7 +137,7 @@ impl Machine {
     pub fn new(period: Duration) -> Self {
         Self {
             phase: Phase::Idle,
-            done: Vec::new(),
+            done: 0,
             request: None,
             aborted: None,
             last_activity: Duration::ZERO,
@@ -160,12 +149,12 @@ impl Machine {
         }
     }
 
-    /// Where it is.
+    /// The phase of the session that the node is in.
     pub fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// Whether triggers are expected.
+    /// Whether the HSU is expected to report triggers.
     pub fn train_runs(&self) -> bool {
         matches!(self.phase, Phase::Holding | Phase::Running)
     }
@@ -175,8 +164,7 @@ impl Machine {
         self.request.as_ref()
     }
 
-    /// Takes an event at `now` (monotonic) and says what to do. Events that mean nothing in a phase change
-    /// nothing.
+    /// Takes an event at `now` (monotonic) and returns what to do. Events that mean nothing in a phase change nothing.
     pub fn step(&mut self, event: Event, now: Duration) -> Vec<Action> {
         if !matches!(event, Event::Tick) {
             self.last_activity = now;
@@ -195,32 +183,29 @@ impl Machine {
                 vec![STEPS[0].0.clone()]
             }
             (Phase::Preparing, Event::StepDone) => self.next_step(),
-            (Phase::Preparing, Event::Failed(fault)) => self.undo(Some(Action::ReportFailed(fault))),
-            (Phase::Preparing, Event::Abort(reason)) => {
-                self.undo(Some(Action::ReportFailed(Fault::new(Exit::Failure, reason))))
-            }
+            (Phase::Preparing | Phase::Ready, Event::Failed(fault)) => self.undo(fault),
+            (Phase::Preparing, Event::Abort(reason)) => self.undo(Fault::new(Exit::Failure, reason)),
             (Phase::Ready, Event::Start) => vec![Action::StartTrain],
             (Phase::Ready, Event::Trigger) => {
                 let holds = self.request.as_ref().is_some_and(|request| request.pre_triggers > 0);
                 self.phase = if holds { Phase::Holding } else { Phase::Running };
                 Vec::new()
             }
-            (Phase::Holding, Event::Keep { first, pressed }) => {
+            (Phase::Holding, Event::Keep(keep)) => {
                 self.phase = Phase::Running;
-                vec![Action::Keep { first, pressed }]
+                vec![Action::Keep(keep)]
             }
-            (Phase::Ready, Event::Failed(fault)) => self.undo(Some(Action::ReportFailed(fault))),
             (Phase::Ready, Event::Abort(reason)) => self.give_up(reason),
             // It may have been started from another node, or the first report is on its way: the HSU knows, and
             // answers with the end of a train that may be empty.
             (Phase::Ready, Event::Stop) => vec![Action::StopTrain],
-            // All telemetry of a short train may be lost: the end tells that it ran.
+            // All telemetry of a short train may be lost: its end shows that it ran.
             (Phase::Ready, Event::TrainDone { emitted: 0 }) => self.give_up(
                 "the train ended before its first trigger: another node gave up, or it was stopped"
                     .to_owned(),
             ),
             (Phase::Ready, Event::Tick) if self.idle_for(now) > READY_TIMEOUT => {
-                self.give_up(format!("nobody started the session within {} s", READY_TIMEOUT.as_secs()))
+                self.give_up(format!("the session was not started within {} s", READY_TIMEOUT.as_secs()))
             }
             // Nothing was kept, so nothing is recorded.
             (Phase::Holding, Event::TrainDone { .. }) => self.give_up(
@@ -241,16 +226,18 @@ impl Machine {
                 self.link_lost = false;
                 Vec::new()
             }
-            (Phase::Holding, Event::Failed(fault)) => self.let_go(fault.message),
-            (Phase::Holding, Event::Abort(reason)) => self.let_go(reason),
+            (Phase::Holding, Event::Failed(Fault { message: reason, .. }) | Event::Abort(reason)) => {
+                self.let_go(reason)
+            }
             (Phase::Holding, Event::Tick) if now.saturating_sub(self.holding_since) > HOLD_TIMEOUT => {
-                self.let_go(format!("nobody pressed Record within {} min", HOLD_TIMEOUT.as_secs() / 60))
+                self.let_go(format!("Record was not pressed within {} min", HOLD_TIMEOUT.as_secs() / 60))
             }
             (Phase::Holding, Event::Tick) if self.idle_for(now) > self.patience() => {
                 self.let_go(self.silence(now))
             }
-            (Phase::Running, Event::Failed(fault)) => self.break_off(fault.message),
-            (Phase::Running, Event::Abort(reason)) => self.break_off(reason),
+            (Phase::Running, Event::Failed(Fault { message: reason, .. }) | Event::Abort(reason)) => {
+                self.break_off(reason)
+            }
             (Phase::Running, Event::Tick) if self.idle_for(now) > self.patience() => {
                 self.break_off(self.silence(now))
             }
@@ -261,12 +248,8 @@ impl Machine {
                 self.close()
             }
             (Phase::Draining, Event::TrainDone { emitted }) => vec![Action::Drain { emitted: Some(emitted) }],
-            (Phase::Draining, Event::Failed(fault)) => {
-                self.aborted.get_or_insert(fault.message);
-                Vec::new()
-            }
-            // The node that was told first has ended the train for both.
-            (Phase::Draining, Event::Abort(reason)) => {
+            // The node that received the abort first has ended the train for both.
+            (Phase::Draining, Event::Failed(Fault { message: reason, .. }) | Event::Abort(reason)) => {
                 self.aborted.get_or_insert(reason);
                 Vec::new()
             }
@@ -288,9 +271,8 @@ impl Machine {
     }
 
     fn next_step(&mut self) -> Vec<Action> {
-        let Some((step, _)) = STEPS.get(self.done.len()) else { return Vec::new() };
-        self.done.push(step.clone());
-        match STEPS.get(self.done.len()) {
+        self.done += 1;
+        match STEPS.get(self.done) {
             Some((next, _)) => vec![next.clone()],
             None => {
                 self.phase = Phase::Ready;
@@ -300,15 +282,15 @@ impl Machine {
     }
 
     /// Undoes what was done, last first, and is idle again.
-    fn undo(&mut self, report: Option<Action>) -> Vec<Action> {
-        let undoing = STEPS[..self.done.len()].iter().rev().filter_map(|(_, undo)| undo.clone());
-        let actions = undoing.chain(report).collect();
+    fn undo(&mut self, fault: Fault) -> Vec<Action> {
+        let undoing = STEPS[..self.done].iter().rev().filter_map(|(_, undo)| undo.clone());
+        let actions = undoing.chain([Action::ReportFailed(fault)]).collect();
         self.reset();
         actions
     }
 
     fn give_up(&mut self, reason: String) -> Vec<Action> {
-        self.undo(Some(Action::ReportFailed(Fault::new(Exit::Device, reason))))
+        self.undo(Fault::new(Exit::Device, reason))
     }
 
     fn silence(&self, now: Duration) -> String {
@@ -337,7 +319,7 @@ impl Machine {
 
     fn reset(&mut self) {
         self.phase = Phase::Idle;
-        self.done.clear();
+        self.done = 0;
         self.link_lost = false;
         self.request = None;
     }
@@ -348,7 +330,7 @@ mod tests {
     use super::{Action, DRAIN_TIMEOUT, Event, HOLD_TIMEOUT, Machine, READY_TIMEOUT};
     use crate::base::ids::NodeId;
     use crate::base::{Exit, Fault};
-    use crate::control::request::{Phase, SessionRequest};
+    use crate::control::request::{KeepRequest, Phase, SessionRequest};
     use proptest::prelude::{
         Just, ProptestConfig, Strategy, prop_assert, prop_assert_eq, prop_oneof, proptest,
     };
@@ -451,7 +433,7 @@ mod tests {
         let close = Action::CloseRecording { aborted: Some("unplugged".to_owned()) };
         let actions = m.step(Event::Tick, end + Duration::from_millis(1));
         assert_eq!(actions, [Action::StopStreams, Action::DisarmHsu, close]);
-        // The recorder may have been about to say so.
+        // The recorder may have been about to report it.
         assert_eq!(m.step(Event::Drained, end + Duration::from_millis(2)), []);
     }
 
@@ -472,9 +454,9 @@ mod tests {
     #[test]
     fn record_makes_a_session_of_what_is_held() {
         let mut m = holding();
-        let keep = |first| Event::Keep { first, pressed: first + 239 };
-        assert_eq!(m.step(keep(60), Duration::ZERO), [Action::Keep { first: 60, pressed: 299 }]);
-        assert_eq!(m.step(keep(90), Duration::ZERO), [], "once");
+        let keep = KeepRequest { session_id: 1, first: 60, pressed: 299 };
+        assert_eq!(m.step(Event::Keep(keep), Duration::ZERO), [Action::Keep(keep)]);
+        assert_eq!(m.step(Event::Keep(KeepRequest { first: 90, ..keep }), Duration::ZERO), [], "once");
         assert_eq!(m.step(Event::Stop, Duration::ZERO), [Action::StopTrain]);
         let done = Event::TrainDone { emitted: 400 };
         assert_eq!(m.step(done, Duration::ZERO), [Action::Drain { emitted: Some(400) }]);
@@ -503,7 +485,7 @@ mod tests {
         prop_oneof![
             Just(Event::Prepare(request())),
             Just(Event::Prepare(holding_request())),
-            Just(Event::Keep { first: 3, pressed: 9 }),
+            Just(Event::Keep(KeepRequest { session_id: 1, first: 3, pressed: 9 })),
             Just(Event::StepDone),
             Just(Event::StepDone),
             Just(Event::StepDone),

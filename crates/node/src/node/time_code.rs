@@ -1,21 +1,22 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Asks the HSU during a session which time codes it heard, and makes events of those that are worth recording: the first
-//! of each run, one a second, and the last.
+//! Reads during a session the time codes that the HSU received, and makes events of those that are worth recording:
+//! the first of each run, one a second, and the last.
 
+use super::event_kind::EventKind;
 use crate::hsu::{HeardTimeCodes, Hsu, HsuError, Refusal, TIME_CODE_HISTORY};
 use crate::record::{HeardTimeCode, NodeEvent};
 use std::time::Duration;
 
-/// So long after the last one a code is recorded again.
+/// Time after which a running code is recorded again: one event a second is enough to interpolate.
 const INTERVAL_NS: u64 = 1_000_000_000;
-/// So long the end of a session waits for the frame that was being sent: the longest lasts 44 ms.
+/// Time that the end of a session waits for the code frame under way: the longest lasts 44 ms.
 pub const LAST_FRAME: Duration = Duration::from_millis(60);
 
-/// What a unit can be asked of time code.
+/// The requests for time code that a unit answers.
 pub trait TimeCodeUnit {
-    /// Names the input that carries it.
+    /// Sends the unit the input that carries the code.
     fn name_input(&self, input: u8) -> Result<(), HsuError>;
-    /// Asks for codes from a number on.
+    /// Requests codes from a number on.
     fn codes(&self, first: u64) -> Result<HeardTimeCodes, HsuError>;
 }
 
@@ -29,26 +30,24 @@ impl TimeCodeUnit for Hsu {
     }
 }
 
-/// What is known of the time code.
+/// The time codes of a session so far, and what of them is recorded.
 #[derive(Debug, Default)]
 pub struct TimeCodeKeeper {
-    /// The input; `None`: there is nothing to ask for.
+    /// The input; `None`: no time code is configured.
     input: Option<u8>,
-    /// The unit has been told the input.
+    /// The unit knows the input since the last connection.
     named: bool,
     /// Number of the next code; `None` before the first answer.
     next: Option<u64>,
-    /// Frames that were no good, when it was asked first and last.
+    /// Counters of unreadable code frames, at the first answer and at the last.
     refused: Option<(u32, u32)>,
-    /// The last code.
     last: Option<HeardTimeCode>,
-    /// It came at the last look.
+    /// A code arrived at the last look.
     is_running: bool,
-    /// It is in the recording, too.
-    is_told: bool,
+    /// The last code is in the recording.
+    is_recorded: bool,
     /// When the last one that was recorded began, HSU clock.
-    told_ns: u64,
-    /// Runs so far.
+    recorded_ns: u64,
     runs: u64,
     /// Why the unit gives none, where there was to be some.
     why_none: Option<String>,
@@ -60,7 +59,7 @@ impl TimeCodeKeeper {
         Self { input, ..Self::default() }
     }
 
-    /// The unit was connected anew: it has to be told the input again.
+    /// The unit was connected anew: it has to receive the input again.
     pub fn reconnected(&mut self) {
         self.named = false;
     }
@@ -70,7 +69,8 @@ impl TimeCodeKeeper {
         self.is_running
     }
 
-    /// What came since the last time; nothing where the unit does not answer: it is asked again. `host_time_ns` is now.
+    /// The events since the last call; none where the unit does not answer, and the next call repeats the request.
+    /// `host_time_ns` is now.
     pub fn look(&mut self, unit: &impl TimeCodeUnit, host_time_ns: u64) -> Vec<NodeEvent> {
         let mut events = Vec::new();
         let before = self.next;
@@ -86,59 +86,56 @@ impl TimeCodeKeeper {
         self.is_running = before.is_some() && self.next != before;
         if !self.is_running {
             // It has stopped, for all that is known.
-            self.tell_last(host_time_ns, &mut events);
+            self.record_last(host_time_ns, &mut events);
         }
         events
     }
 
-    /// The session has ended.
+    /// Ends the watch with the session: the last code, and what was missing.
     pub fn finish(&mut self, host_time_ns: u64) -> Vec<NodeEvent> {
         let mut events = Vec::new();
-        self.tell_last(host_time_ns, &mut events);
+        self.record_last(host_time_ns, &mut events);
         let Some(input) = self.input else { return events };
         let refused = self.no_good();
-        if let Some(message) = self.absence() {
-            events.push(told(host_time_ns, "time_code_absent", message));
+        if let Some(message) = self.absence(false) {
+            events.push(EventKind::TimeCodeAbsent.event(host_time_ns, None, message));
         } else if refused > 0 {
             let message = format!("{refused} frames of time code on input {input} were no good");
-            events.push(told(host_time_ns, "time_code_refused", message));
+            events.push(EventKind::TimeCodeRefused.event(host_time_ns, None, message));
         }
         events
     }
 
-    /// That no code was understood, where there was to be one.
-    pub fn absence(&self) -> Option<String> {
+    /// That no code was understood, where there was to be one; `so_far`: with what to check while the session runs.
+    pub fn absence(&self, so_far: bool) -> Option<String> {
         if self.why_none.is_some() {
             return self.why_none.clone();
         }
         let input = self.input.filter(|_| self.runs == 0)?;
-        Some(match self.no_good() {
-            0 => format!("no time code came on input {input}"),
-            refused => format!("no time code was understood on input {input}: {refused} frames were no good"),
+        Some(match (so_far, self.no_good()) {
+            (false, 0) => format!("no time code came on input {input}"),
+            (false, refused) => {
+                format!("no time code was understood on input {input}: {refused} frames were no good")
+            }
+            (true, 0) => format!(
+                "no time code is understood on input {input} so far: none comes: is it played, and wired to this input \
+                 (hsu.time_code_input)?"
+            ),
+            (true, _) => format!(
+                "no time code is understood on input {input} so far: frames come and are no good: check level, ground \
+                 and adapter of the line"
+            ),
         })
     }
 
-    /// The same while the session runs, with what to look at.
-    pub fn absence_so_far(&self) -> Option<String> {
-        if self.why_none.is_some() {
-            return self.why_none.clone();
-        }
-        let input = self.input.filter(|_| self.runs == 0)?;
-        let found = match self.no_good() {
-            0 => "none comes: is it played, and wired to this input (hsu.time_code_input)?",
-            _ => "frames come and are no good: look at level, ground and adapter of the line",
-        };
-        Some(format!("no time code is understood on input {input} so far: {found}"))
-    }
-
-    /// Frames that were no good.
+    /// Number of unreadable code frames since the first answer.
     fn no_good(&self) -> u32 {
         let (first, last) = self.refused.unwrap_or_default();
         last.saturating_sub(first)
     }
 
     fn give_up(&mut self, why: String, host_time_ns: u64, events: &mut Vec<NodeEvent>) {
-        events.push(told(host_time_ns, "time_code_absent", why.clone()));
+        events.push(EventKind::TimeCodeAbsent.event(host_time_ns, None, why.clone()));
         (self.input, self.why_none) = (None, Some(why));
     }
 
@@ -170,13 +167,13 @@ impl TimeCodeKeeper {
             if answer.next < asked {
                 let message =
                     "the HSU counts time codes anew: it was restarted, and what came before is lost";
-                events.push(told(host_time_ns, "time_code_lost", message.to_owned()));
+                events.push(EventKind::TimeCodeLost.event(host_time_ns, None, message));
                 self.next = Some(0);
                 continue;
             }
             if answer.first > asked && !answer.codes.as_slice().is_empty() {
                 let message = format!("{} time codes came and were forgotten", answer.first - asked);
-                events.push(told(host_time_ns, "time_code_lost", message));
+                events.push(EventKind::TimeCodeLost.event(host_time_ns, None, message));
             }
             let mut next = asked;
             for (number, frame) in (answer.first..u64::MAX).zip(answer.codes.as_slice()) {
@@ -204,25 +201,21 @@ impl TimeCodeKeeper {
     fn take(&mut self, heard: HeardTimeCode, host_time_ns: u64, events: &mut Vec<NodeEvent>) {
         let goes_on = self.last.is_some_and(|last| last.number + 1 == heard.number && heard.follows(&last));
         if !goes_on {
-            self.tell_last(host_time_ns, events);
+            self.record_last(host_time_ns, events);
             self.runs += 1;
         }
         self.last = Some(HeardTimeCode { run: self.runs - 1, ..heard });
-        self.is_told = false;
-        if !goes_on || heard.hsu_time_ns.saturating_sub(self.told_ns) >= INTERVAL_NS {
-            self.tell_last(host_time_ns, events);
+        self.is_recorded = false;
+        if !goes_on || heard.hsu_time_ns.saturating_sub(self.recorded_ns) >= INTERVAL_NS {
+            self.record_last(host_time_ns, events);
         }
     }
 
-    fn tell_last(&mut self, host_time_ns: u64, events: &mut Vec<NodeEvent>) {
-        let Some(last) = self.last.filter(|_| !self.is_told) else { return };
+    fn record_last(&mut self, host_time_ns: u64, events: &mut Vec<NodeEvent>) {
+        let Some(last) = self.last.filter(|_| !self.is_recorded) else { return };
         events.push(last.event(host_time_ns));
-        (self.is_told, self.told_ns) = (true, last.hsu_time_ns);
+        (self.is_recorded, self.recorded_ns) = (true, last.hsu_time_ns);
     }
-}
-
-fn told(host_time_ns: u64, kind: &str, message: String) -> NodeEvent {
-    NodeEvent { host_time_ns, kind: kind.to_owned(), camera: None, trigger: None, message }
 }
 
 #[cfg(test)]
@@ -236,7 +229,7 @@ mod tests {
 
     const FRAME_NS: u64 = 40_000_000;
 
-    /// A unit that has heard these codes.
+    /// A unit that received these codes.
     #[derive(Default)]
     struct Unit {
         heard: RefCell<Vec<TimeCodeFrame>>,
@@ -284,14 +277,14 @@ mod tests {
         events.iter().map(|event| event.kind.as_str()).collect()
     }
 
-    /// Code of ten minutes, asked for five times a second: two events more than seconds.
+    /// Code of ten minutes, read five times a second: two events more than seconds.
     #[test]
     fn of_a_run_the_first_code_is_recorded_one_a_second_and_the_last() {
         let (unit, mut keeper, mut events) = (Unit::default(), TimeCodeKeeper::new(Some(3)), Vec::new());
         assert!(keeper.look(&unit, 0).is_empty() && !keeper.is_running());
         let (mut code, mut at_ns) = (TimeCode::parse("09:59:59:20").expect("a code"), 5);
         let (first, begin_ns) = (code, at_ns);
-        assert!(keeper.absence_so_far().is_some_and(|text| text.contains("input 3 so far: none comes")));
+        assert!(keeper.absence(true).is_some_and(|text| text.contains("input 3 so far: none comes")));
         for _ in 0..3000 {
             let (last, end_ns) = unit.hears(&code.to_string(), at_ns, 5);
             (code, at_ns) = (last.after(1, 25).expect("a code"), end_ns);
@@ -299,7 +292,7 @@ mod tests {
             assert!(keeper.is_running());
         }
         events.extend(keeper.finish(0));
-        assert_eq!((keeper.absence(), keeper.absence_so_far()), (None, None));
+        assert_eq!((keeper.absence(false), keeper.absence(true)), (None, None));
         let heard: Vec<HeardTimeCode> = events.iter().filter_map(HeardTimeCode::of).collect();
         assert_eq!((heard.len(), events.len()), (601, 601));
         assert!(heard.iter().all(|heard| heard.run == 0));
@@ -358,12 +351,12 @@ mod tests {
         keeper.look(&unit, 0);
         unit.refused.set(9);
         keeper.look(&unit, 0);
-        let so_far = keeper.absence_so_far().expect("none was understood");
+        let so_far = keeper.absence(true).expect("none was understood");
         assert!(so_far.contains("input 3 so far: frames come and are no good"), "{so_far}");
         let events = keeper.finish(0);
         assert_eq!(kinds(&events), ["time_code_absent"]);
         assert!(events[0].message.contains("input 3: 2 frames"), "{}", events[0].message);
-        assert_eq!(keeper.absence().as_ref(), Some(&events[0].message));
+        assert_eq!(keeper.absence(false).as_ref(), Some(&events[0].message));
 
         // More than the unit remembers, and then it is switched off and on.
         let (unit, mut keeper) = (Unit::default(), TimeCodeKeeper::new(Some(3)));
@@ -393,11 +386,11 @@ mod tests {
             let events = keeper.look(&unit, 0);
             assert_eq!(kinds(&events), ["time_code_absent"]);
             assert!(keeper.look(&unit, 0).is_empty() && keeper.finish(0).is_empty());
-            assert_eq!(keeper.absence().as_ref(), Some(&events[0].message));
-            assert_eq!(keeper.absence_so_far(), keeper.absence());
+            assert_eq!(keeper.absence(false).as_ref(), Some(&events[0].message));
+            assert_eq!(keeper.absence(true), keeper.absence(false));
             assert_eq!(unit.asked.get(), 0);
         }
-        // Any other refusal is asked again.
+        // The request is repeated after any other refusal.
         let (unit, mut keeper) = (Unit::default(), TimeCodeKeeper::new(Some(3)));
         unit.refusal.set(Some(Refusal::HelloFirst));
         assert!(keeper.look(&unit, 0).is_empty());

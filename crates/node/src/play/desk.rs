@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Has frame sets of reconstructed sessions made for whoever plays them: one at a time, by one process at idle priority, and never
+//! Makes frame sets of reconstructed sessions for players: one at a time, by one process at idle priority, and never
 //! while the node is in a session (docs/design/api.md, "Playing").
 
 use super::process::{self, Answer};
@@ -19,26 +19,27 @@ use std::process::{Child, ChildStdin, Stdio};
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Points of a frame set at most.
+/// Most points of a frame set.
 pub const POINTS_EACH: usize = 40_000;
-/// Questions that wait.
+/// Requests that may wait for the thread; a further one is refused.
 const WAITING_MAX: usize = 16;
-/// Bytes of answers that are kept for the next who asks.
+/// Bytes of answers that are kept for further requests.
 const KEPT_BYTES: usize = 64 << 20;
-/// For so long the process waits for the next question.
+/// Time that the process waits for the next request before it is ended.
 const LINGER: Duration = Duration::from_secs(20);
-/// An answer takes no longer.
+/// Longest time that an answer of the process may take.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// The process makes one cloud after the other of the same size: glibc keeps their memory (measured: half of its time otherwise).
+/// Settings of glibc's allocator: the process makes one cloud after the other of the same size, and keeping their
+/// memory saves half of its time (measured).
 const ALLOCATOR: [(&str, &str); 3] = [
     ("MALLOC_MMAP_THRESHOLD_", "33554432"),
     ("MALLOC_TRIM_THRESHOLD_", "1073741824"),
     ("MALLOC_ARENA_MAX", "1"),
 ];
-/// How often it is looked whether a session has begun.
+/// Time between two looks whether a session has begun.
 const POLL: Duration = Duration::from_millis(20);
 
-/// What of a session is asked for.
+/// The requested part of a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Wanted {
     /// What a player must know ([`Described`], JSON).
@@ -47,12 +48,11 @@ pub enum Wanted {
     FrameSet(u64),
 }
 
-/// What there is of it.
+/// The result of a request.
 #[derive(Debug)]
 pub enum Made {
-    /// This.
     Bytes(Arc<Vec<u8>>),
-    /// Nothing, and there never will be.
+    /// There is none, and there never will be.
     Nothing(String),
 }
 
@@ -62,7 +62,7 @@ struct Ask {
     reply: Reply<Made>,
 }
 
-/// Takes questions; its thread, and the process that it has started, end with the last of these.
+/// Takes requests; its thread, and the process that it has started, end with the last of these.
 #[derive(Clone)]
 pub struct Desk {
     asks: Sender<Ask>,
@@ -101,12 +101,12 @@ struct Maker {
     _child: Ending,
     asked: ChildStdin,
     answers: Receiver<std::io::Result<Answer>>,
-    /// What it said of the session.
-    told: Arc<Vec<u8>>,
+    /// The description of the session, as the process wrote it.
+    description: Arc<Vec<u8>>,
     described: Described,
 }
 
-/// Ended when dropped.
+/// A process that is ended when this is dropped.
 struct Ending(Child);
 
 impl Drop for Ending {
@@ -115,7 +115,7 @@ impl Drop for Ending {
     }
 }
 
-/// Answers of late, the newest last.
+/// The last answers, the newest last.
 #[derive(Default)]
 struct Kept {
     answers: VecDeque<(Done, Wanted, Arc<Vec<u8>>)>,
@@ -152,14 +152,14 @@ impl Work {
     fn run(mut self, inbox: &Receiver<Ask>) {
         loop {
             match inbox.recv_timeout(LINGER) {
-                // Who has looked elsewhere meanwhile is not waited for.
+                // A client that has given up is not answered.
                 Ok(ask) if ask.reply.is_closed() => {}
                 Ok(ask) => {
-                    let said = self.answer(&ask);
-                    if said.is_err() {
+                    let answer = self.answer(&ask);
+                    if answer.is_err() {
                         self.maker = None;
                     }
-                    drop(ask.reply.send(said));
+                    drop(ask.reply.send(answer));
                 }
                 Err(RecvTimeoutError::Timeout) => self.maker = None,
                 Err(RecvTimeoutError::Disconnected) => return,
@@ -179,7 +179,7 @@ impl Work {
         }
         let Some(maker) = &mut self.maker else { return Err(failed("the process is gone")) };
         let bytes = match ask.wanted {
-            Wanted::Description => Arc::clone(&maker.told),
+            Wanted::Description => Arc::clone(&maker.description),
             Wanted::FrameSet(trigger) if !maker.described.has(trigger) => {
                 return Ok(Made::Nothing(format!(
                     "trigger {trigger} of session {} has no cloud",
@@ -224,11 +224,11 @@ impl Work {
             .map_err(|e| failed(format!("`setpriv` (package util-linux): {e}")))?;
         let pipes = child.stdin.take().zip(child.stdout.take());
         let ending = Ending(child);
-        let (asked, mut told) = pipes.ok_or_else(|| failed("the process has no pipes"))?;
+        let (asked, mut description) = pipes.ok_or_else(|| failed("the process has no pipes"))?;
         let (found, answers) = bounded(1);
         let read = move || {
             loop {
-                let answer = process::read_answer(&mut told);
+                let answer = process::read_answer(&mut description);
                 let over = answer.is_err();
                 if found.send(answer).is_err() || over {
                     return;
@@ -236,9 +236,16 @@ impl Work {
             }
         };
         std::thread::Builder::new().name("play-answers".to_owned()).spawn(read).map_err(failed)?;
-        let told = self.wait(&answers)?.map_err(|reason| Fault::new(Exit::Corrupt, reason))?;
-        let described = json::from_slice(&told).map_err(failed)?;
-        Ok(Maker { done: done.clone(), _child: ending, asked, answers, told: Arc::new(told), described })
+        let description = self.wait(&answers)?.map_err(|reason| Fault::new(Exit::Corrupt, reason))?;
+        let described = json::from_slice(&description).map_err(failed)?;
+        Ok(Maker {
+            done: done.clone(),
+            _child: ending,
+            asked,
+            answers,
+            description: Arc::new(description),
+            described,
+        })
     }
 
     /// The next answer. An error is the end of the process.

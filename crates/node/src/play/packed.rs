@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A frame set as few bytes for a browser, which `web/player.js` unpacks.
 //!
-//! A zlib stream of twelve planes of bytes: low and high bytes of x, y and z in tenths of a millimetre, each told as the
-//! difference from the point before; the normal in three planes, intensity, camera, uncertainty, as [`encode`] has them. Points
-//! lie along a space-filling curve, so that differences are small.
+//! A zlib stream of twelve planes of bytes: low and high bytes of x, y and z in tenths of a millimetre, each stored as
+//! the difference from the point before; the normal in three planes, intensity, camera, uncertainty, as [`encode`] has
+//! them. Points lie along a space-filling curve, so that differences are small.
 
 use crate::data::Cloud;
 use crate::preview::quick_look::{POINT_BYTES, encode};
@@ -27,7 +27,7 @@ fn along_a_curve(cloud: &Cloud, most: usize) -> Vec<[u8; POINT_BYTES]> {
     let (points, _) = bytes.as_chunks::<POINT_BYTES>();
     let mut points = points.to_vec();
     points.sort_by_cached_key(|point| {
-        // From the least place that there is, so that nothing is negative.
+        // Offset so that nothing is negative.
         let axis = |i: usize| u64::from(u16::from_le_bytes([point[i], point[i + 1]]) ^ 0x8000);
         spread(axis(0)) | spread(axis(2)) << 1 | spread(axis(4)) << 2
     });

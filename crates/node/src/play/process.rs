@@ -1,24 +1,25 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Frame sets made on demand by a process of its own: triggers come in, a line each, answers go out in the same order.
 //!
-//! An answer is a byte (0: what was asked for; 1: there is none, or why it cannot be made), a length (u32, little-endian), and so
-//! many bytes. The first one, unasked, is what a player must know ([`Described`], JSON).
+//! An answer is a byte (0: the requested frame set; 1: there is none, or why it cannot be made), a length (u32,
+//! little-endian), and that many bytes. The first answer, before any request, is what a player must know
+//! ([`Described`], JSON).
 
 use super::Sequence;
 use super::sequence::Described;
 use std::io::{self, BufRead, Read, Write};
 use std::path::Path;
 
-/// Bytes of an answer.
+/// Longest answer, bytes: a larger one is refused by both sides.
 pub const ANSWER_BYTES_MAX: usize = 8 << 20;
 
 /// What was made, or why nothing was.
 pub type Answer = Result<Vec<u8>, String>;
 
-/// Answers until nobody asks any more. The rate is that of a result that states no times.
+/// Answers until the input ends. The rate is that of a result that states no times.
 ///
 /// # Errors
-/// Nobody hears the answers.
+/// The answers cannot be written.
 pub fn serve(
     result: &Path,
     trigger_rate_hz: f64,
@@ -61,7 +62,7 @@ fn write_answer(out: &mut impl Write, answer: &Answer) -> io::Result<()> {
 /// Reads the next answer.
 ///
 /// # Errors
-/// The process has ended, or says what is no answer.
+/// The process has ended, or wrote something else.
 pub fn read_answer(from: &mut impl Read) -> io::Result<Answer> {
     let mut head = [0; 5];
     from.read_exact(&mut head)?;

@@ -10,17 +10,17 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Holes that are told of; those beyond are not.
+/// Holes that are listed; those beyond are left out.
 const HOLES_MAX: usize = 1000;
-/// Characters of a reason.
+/// Longest reason that is passed on, characters.
 const WHY_MAX: usize = 300;
 
 /// Triggers one after the other without a cloud, for the same reason.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Hole {
-    /// The first of them.
+    /// The first trigger of the run.
     pub first: u64,
-    /// The last of them.
+    /// The last trigger of the run.
     pub last: u64,
     /// Why there is no cloud.
     pub why: String,
@@ -29,7 +29,7 @@ pub struct Hole {
 /// What a player must know before it asks for a frame set.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Described {
-    /// Triggers per second.
+    /// Triggers a second, by the result's own times where it has some.
     pub trigger_rate_hz: f64,
     /// Points that a frame set has at most.
     pub points_each: usize,
@@ -37,8 +37,8 @@ pub struct Described {
     pub runs: Vec<[u64; 2]>,
     /// Triggers that were to have one and have none.
     pub holes: Vec<Hole>,
-    /// When each trigger of runs and holes was, in the order of triggers, seconds since trigger 0: by the result's own times, or by index
-    /// at the rate where it has none.
+    /// When each trigger of runs and holes was, in the order of triggers, seconds since trigger 0: by the result's own
+    /// times, or by index at the rate where it has none.
     pub seconds: Vec<f64>,
 }
 
@@ -91,7 +91,7 @@ impl Sequence {
         self.sets.keys().copied()
     }
 
-    /// How many points each frame set may have, so that all together have at most so many bytes before they are packed.
+    /// Number of points of each frame set, so that all together have at most `most_bytes` before they are packed.
     pub fn points_each(&self, most_bytes: u64) -> usize {
         let share = most_bytes / self.sets.len().max(1) as u64 / POINT_BYTES as u64;
         usize::try_from(share).unwrap_or(usize::MAX).clamp(1, POINTS_MAX)
@@ -125,7 +125,8 @@ impl Sequence {
     }
 }
 
-/// Triggers per second, and when each trigger was, seconds since trigger 0: by the times that are known, ns, else by index at `rate_hz`.
+/// Triggers per second, and when each trigger was, seconds since trigger 0: by the times that are known, ns, else by
+/// index at `rate_hz`.
 fn placed(triggers: &[u64], known_ns: &BTreeMap<u64, u64>, rate_hz: f64) -> (f64, Vec<f64>) {
     let ends = known_ns.first_key_value().zip(known_ns.last_key_value());
     let measured = ends.and_then(|((first, from), (last, to))| {

@@ -2,9 +2,10 @@
 //! What exposure would be right: one number, in EV, from how bright the fringes of the body are.
 //!
 //! The noise of a phase is that of the light over the fringes' amplitude. With the exposure it falls like the inverse
-//! where the sensor's own noise prevails, like the root of that where the photons' does: more light is always better, until a
-//! fringe's peak is cut at 255, where it has no phase. So the right exposure puts the brightest fringes just below that.
-//! Which pixels are the body is told by its fringes' amplitude relative to the largest, whatever the exposure.
+//! where the sensor's own noise prevails, like the root of that where the photons' does: more light is always better,
+//! until a fringe's peak is cut at 255, where it has no phase. So the right exposure puts the brightest fringes just
+//! below that. Pixels belong to the body where the fringes' amplitude is large enough relative to the largest, at any
+//! exposure.
 
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, SQRT_2};
@@ -14,17 +15,17 @@ use std::fmt;
 pub const WINDOW: usize = 24;
 /// Where the brightest fringes should peak, DN: 10 % below the limit, as much as a body gains that comes nearer by 5 %.
 const PEAK_DN: f64 = 230.0;
-/// Share of the body's fringes that may be brighter than that: glints.
+/// Share of the body's fringes that may peak above that: glints.
 const BRIGHTER: f64 = 0.02;
-/// The largest range is that of the frame, but for this share of its windows.
+/// Share of the windows with the largest ranges that is left out as stray.
 const STRAY: f64 = 0.005;
-/// A window shows the body where its range is this share of the largest.
+/// Least range of a window that shows the body, as a share of the largest.
 const OF_LARGEST: f64 = 0.125;
 /// Ranges below this are noise, DN.
 const LEAST_RANGE_DN: u8 = 6;
-/// Share of all pixels that are darker than what is taken for no light.
+/// Share of all pixels that are darker than the level that counts as no light.
 const DARK: f64 = 0.01;
-/// Peaks are counted up to this; brighter ones, which are guesses, as this. DN.
+/// Highest peak that is counted, DN; higher ones are guesses, and count as this.
 const MOST_DN: usize = 1023;
 
 /// How bright the fringes of the body were in some frames of a camera.

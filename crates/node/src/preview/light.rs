@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a frame's light is like: the figures by which an operator sets exposure, and sees that pattern and focus are there.
+//! What a frame's light is like: the figures by which an operator sets exposure, and sees that pattern and focus are
+//! there.
 
 use super::exposure::{Exposure, Peaks, WINDOW, quantile};
 use crate::acquire::preview::Sample;
@@ -7,7 +8,7 @@ use crate::telemetry::Grade;
 use crate::telemetry::thresholds::{LIT, MODULATION, SATURATED};
 use serde::{Deserialize, Serialize};
 
-/// Light of one frame.
+/// The light of one frame, in figures.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Light {
     /// Share of the lit pixels that are saturated (255), 0 to 1.
@@ -18,8 +19,8 @@ pub struct Light {
     pub modulation_dn: f64,
     /// The same as a share of the mean there (Michelson's contrast), 0 to 1.
     pub contrast: f64,
-    /// How fine the detail is: root mean square of the second difference along the row, as a share of the modulation. It has no
-    /// unit and no right value: turn the lens until it is highest.
+    /// How fine the detail is: root mean square of the second difference along the row, as a share of the modulation.
+    /// It has no unit and no right value: turn the lens until it is highest.
     pub focus: f64,
     /// The grey value that one lit pixel in a hundred exceeds.
     pub bright_dn: f64,
@@ -50,7 +51,7 @@ impl Light {
     }
 }
 
-/// A window is lit whose brightest pixel is above this.
+/// Grey value that the brightest pixel of a lit window exceeds.
 const LIT_DN: u8 = 24;
 
 /// Measures a sample of a frame.

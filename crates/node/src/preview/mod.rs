@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What an operator sees of the cameras while they run: small pictures, and the figures by which exposure and focus are set.
+//! What an operator sees of the cameras while they run: small pictures, and the figures by which exposure and focus
+//! are set.
 //!
-//! A thread of low priority renders what the taps of the recorder leave ([`crate::acquire::preview`]), at most four pictures
-//! a second and camera, and only while somebody asks for them. However many look, it renders once.
+//! A thread of low priority renders what the taps of the recorder leave ([`crate::acquire::preview`]), at most four
+//! pictures a second and camera, and only while they are requested. It renders once for all clients.
 
 mod exposure;
 mod light;
@@ -18,23 +19,36 @@ use crate::base::ids::CameraId;
 use crate::host::realtime;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use serde::Serialize;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-/// Pictures are at least so far apart.
+/// Least time between two pictures of a camera.
 const PERIOD: Duration = Duration::from_millis(250);
-/// Whoever has not asked for so long does not look any more.
+/// Time without a request after which a client no longer counts as looking.
 const INTEREST: Duration = Duration::from_secs(2);
-/// How often the thread looks for samples.
+/// Time between two looks for samples.
 const POLL: Duration = Duration::from_millis(40);
 
-/// One camera's picture.
+/// When something was last requested: nothing is computed that no client looks at.
+#[derive(Debug, Default)]
+pub(crate) struct Interest(Mutex<Option<Instant>>);
+
+impl Interest {
+    /// Notes a request that arrives now.
+    pub(crate) fn note(&self) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+    }
+
+    /// Whether the last request is recent enough.
+    pub(crate) fn is_fresh(&self) -> bool {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|at| at.elapsed() < INTEREST)
+    }
+}
+
+/// One camera's newest picture, as PNG with its figures.
 #[derive(Debug, Clone)]
 pub struct Picture {
-    /// Counts this camera's pictures.
     pub number: u64,
-    /// Of which trigger.
     pub trigger: u64,
     /// When the frame arrived, host clock, ns.
     pub host_time_ns: u64,
@@ -44,25 +58,25 @@ pub struct Picture {
     pub light: Light,
 }
 
-/// What is told of a picture beside it.
+/// The description of a picture, without its pixels.
 #[derive(Debug, Clone, Serialize, utoipa::ToSchema)]
 pub struct PictureFacts {
-    /// The camera.
+    /// The name of the camera in the rig.
     #[schema(value_type = String)]
     pub camera: CameraId,
     /// See [`Picture::number`]; 0: there is none yet.
     pub number: u64,
-    /// Of which trigger.
+    /// The index of the frame's trigger.
     pub trigger: u64,
     /// How long ago the frame arrived, s.
     pub age_s: f64,
-    /// Its light.
+    /// The light of the frame; none before the first picture.
     pub light: Option<Light>,
-    /// How good that is.
+    /// The grades of that light.
     pub grades: Option<LightGrades>,
 }
 
-/// Renders previews.
+/// Renders the cameras' pictures on a thread of low priority.
 #[derive(Clone)]
 pub struct Previews {
     shared: Arc<Shared>,
@@ -71,9 +85,7 @@ pub struct Previews {
 
 struct Shared {
     taps: Arc<Taps>,
-    origin: Instant,
-    /// When each camera was last asked for, ms after `origin`, plus one; 0: never.
-    asked: Vec<AtomicU64>,
+    requested: Vec<Interest>,
     pictures: Vec<RwLock<Option<Arc<Picture>>>>,
 }
 
@@ -83,8 +95,7 @@ impl Previews {
         let cameras = taps.cameras().count();
         let shared = Arc::new(Shared {
             taps,
-            origin: Instant::now(),
-            asked: (0..cameras).map(|_| AtomicU64::new(0)).collect(),
+            requested: (0..cameras).map(|_| Interest::default()).collect(),
             pictures: (0..cameras).map(|_| RwLock::default()).collect(),
         });
         let (wake, awake) = bounded(1);
@@ -125,8 +136,7 @@ impl Previews {
     }
 
     fn look(&self, place: usize) -> Option<Arc<Picture>> {
-        let now = self.shared.origin.elapsed().as_millis() as u64 + 1;
-        self.shared.asked.get(place)?.store(now, Ordering::Release);
+        self.shared.requested.get(place)?.note();
         // A thread that is awake already needs no second call.
         let _ = self.wake.try_send(());
         self.shared.pictures.get(place)?.read().unwrap_or_else(PoisonError::into_inner).clone()
@@ -143,13 +153,13 @@ pub struct UnknownCamera {
 
 impl Shared {
     fn run(&self, awake: &Receiver<()>) {
-        let cameras = self.asked.len();
-        let mut next: Vec<Instant> = vec![self.origin; cameras];
+        let cameras = self.requested.len();
+        let mut next: Vec<Instant> = vec![Instant::now(); cameras];
         let mut done: Vec<Option<Sample>> = vec![None; cameras];
-        // Without interest it sleeps here; it ends when nobody can ask any more.
+        // Without requests it sleeps here; it ends when no client can send one any more.
         while awake.recv().is_ok() {
-            while (0..cameras).any(|camera| self.is_wanted(camera)) {
-                for camera in (0..cameras).filter(|camera| self.is_wanted(*camera)) {
+            while self.requested.iter().any(Interest::is_fresh) {
+                for camera in (0..cameras).filter(|camera| self.requested[*camera].is_fresh()) {
                     if Instant::now() >= next[camera] {
                         self.taps.ask(camera);
                         next[camera] = Instant::now() + PERIOD;
@@ -162,12 +172,6 @@ impl Shared {
                 std::thread::sleep(POLL);
             }
         }
-    }
-
-    fn is_wanted(&self, camera: usize) -> bool {
-        let asked = self.asked[camera].load(Ordering::Acquire);
-        let now = self.origin.elapsed().as_millis() as u64 + 1;
-        asked != 0 && now.saturating_sub(asked) < INTEREST.as_millis() as u64
     }
 
     fn show(&self, camera: usize, sample: &Sample) {

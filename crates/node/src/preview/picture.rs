@@ -5,11 +5,11 @@
 
 use crate::acquire::preview::{ROW_STEP, Sample};
 
-/// Saturated pixels have this grey value, which the palette shows red.
+/// The grey value of saturated pixels, which the palette shows red.
 const RED: u8 = 255;
 
-/// A quarter of the frame's size: means of four columns of every fourth row. A pixel with a saturated one among its four is
-/// red.
+/// A quarter of the frame's size: means of four columns of every fourth row. A pixel with a saturated one among its
+/// four is red.
 pub fn upright_png(sample: &Sample) -> Result<Vec<u8>, png::EncodingError> {
     let columns = sample.width / ROW_STEP;
     let rows = sample.pixels.len().checked_div(sample.width).unwrap_or(0);
@@ -44,7 +44,8 @@ mod tests {
 
     #[test]
     fn the_first_column_is_on_top_and_the_first_row_on_the_right() {
-        // Two rows (of eight) by eight columns: the first row bright on its left half, one saturated pixel in the second.
+        // Two rows (of eight) by eight columns: the first row bright on its left half, one saturated pixel in the
+        // second.
         let first = [200, 200, 200, 200, 10, 10, 10, 10];
         let second = [30, 30, 30, 30, 30, 30, 30, 255];
         let sample = Sample { width: 8, pixels: [first, second].concat(), ..Sample::default() };

@@ -1,72 +1,63 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A few frame sets of a session just recorded, as clouds that a browser can turn: does the body reconstruct?
 //!
-//! `fourdbody reconstruct` does the work in a process of its own, on time that nobody else wants, and is ended at once when
-//! the node is asked for the next session. Each node sees its own cameras; a console puts the clouds of both together.
+//! `fourdbody reconstruct` does the work in a process of its own, at idle priority, and is ended at once when the node
+//! receives a request for the next session. Each node sees its own cameras; a console puts the clouds of both
+//! together.
 
 use crate::base::ids::NodeId;
-use crate::base::regular;
 use crate::batch::result::Clouds;
+use crate::config::QuickLookConfig;
 use crate::control::request::Phase;
 use crate::control::status::{NodeStatus, Outcome};
 use crate::data::{Cloud, FrameSource};
-use crate::host::idle_process;
 use crate::record::{SessionReader, node_dir};
+use crate::task::{self, Ended};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-/// Points of one node and frame set that a browser gets at most: every n-th of them.
+/// Most points of one node and frame set that a browser receives: every n-th of them.
 pub const POINTS_MAX: usize = 80_000;
-/// Bytes of a point: see [`encode`].
+/// Size of a point in bytes, as [`encode`] writes it.
 pub const POINT_BYTES: usize = 12;
-/// Looks that are kept.
+/// Number of quick looks that stay in memory.
 const KEPT: usize = 4;
 const POLL: Duration = Duration::from_millis(50);
-
-/// What quick looks need.
-#[derive(Debug, Clone)]
-pub struct Settings {
-    /// The calibration to use.
-    pub calibration: PathBuf,
-    /// Frame sets of a session, spread over it.
-    pub sets: usize,
-    /// Where the work is done.
-    pub work_dir: PathBuf,
-}
 
 /// How far a look is.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case", tag = "state")]
 pub enum Progress {
-    /// Nobody has asked for it.
+    /// It was not requested, or is not kept any more.
     #[default]
     NotAsked,
-    /// Under way.
+    /// The reconstruction of the frame sets runs.
     Working {
         /// Frame sets that are ready.
         done: usize,
-        /// Of so many.
+        /// Number of frame sets of this look.
         of: usize,
     },
-    /// Ready.
+    /// All clouds can be fetched.
     Ready,
-    /// The next session came first; it can be asked for again.
+    /// The next session came first; it can be requested again.
     GaveWay,
-    /// It did not work.
+    /// No cloud could be made.
     Failed {
-        /// Why.
+        /// Why it could not be made.
         reason: String,
     },
 }
 
-/// A session's look.
+/// The quick look at a session.
 #[derive(Debug, Clone, Default, Serialize, utoipa::ToSchema)]
 pub struct Look {
-    /// How far it is.
+    /// How far the quick look is.
     #[serde(flatten)]
     pub progress: Progress,
     /// The triggers whose clouds are ready.
@@ -75,14 +66,16 @@ pub struct Look {
     clouds: BTreeMap<u64, Arc<Vec<u8>>>,
 }
 
-/// Makes quick looks, one at a time.
+/// Makes quick looks, one at a time. The API's server starts it; its thread requests a look at every session that was
+/// just recorded. The reconstruction runs in a process of its own, which is ended when the node receives a request for
+/// the next session.
 #[derive(Clone)]
 pub struct QuickLooks {
     inner: Arc<Inner>,
 }
 
 struct Inner {
-    settings: Option<Settings>,
+    settings: Option<QuickLookConfig>,
     node: NodeId,
     sessions_dir: PathBuf,
     status: Arc<RwLock<NodeStatus>>,
@@ -93,7 +86,10 @@ struct Inner {
 
 impl QuickLooks {
     /// Starts the thread that looks at every session as soon as it is recorded. Without settings nothing is looked at.
-    pub fn start(settings: Option<Settings>, status: Arc<RwLock<NodeStatus>>) -> std::io::Result<Self> {
+    pub fn start(
+        settings: Option<QuickLookConfig>,
+        status: Arc<RwLock<NodeStatus>>,
+    ) -> std::io::Result<Self> {
         let (node, sessions_dir) = {
             let status = status.read().unwrap_or_else(PoisonError::into_inner);
             (status.node.clone(), status.sessions_dir.clone())
@@ -149,17 +145,14 @@ impl QuickLooks {
             return Ok(());
         }
         if self.inner.busy.swap(true, Ordering::AcqRel) {
-            return Err("another session is being looked at; ask again in a few seconds".to_owned());
+            return Err("another quick look is under way; try again in a few seconds".to_owned());
         }
         self.inner.change(session, |look| *look = Look::default());
-        self.inner.change(session, |look| look.progress = Progress::Working { done: 0, of: settings.sets });
+        self.inner
+            .change(session, |look| look.progress = Progress::Working { done: 0, of: settings.frame_sets });
         let (inner, settings, name) = (Arc::clone(&self.inner), settings.clone(), session.to_owned());
         let work = move || {
-            let progress = match inner.look(&settings, &name, &recording) {
-                Ok(()) => Progress::Ready,
-                Err(Ended::GaveWay) => Progress::GaveWay,
-                Err(Ended::Failed(reason)) => Progress::Failed { reason },
-            };
+            let progress = inner.look(&settings, &name, &recording).err().unwrap_or(Progress::Ready);
             inner.change(&name, |look| look.progress = progress);
             inner.busy.store(false, Ordering::Release);
         };
@@ -181,11 +174,6 @@ impl QuickLooks {
             std::thread::sleep(4 * POLL);
         }
     }
-}
-
-enum Ended {
-    GaveWay,
-    Failed(String),
 }
 
 impl Inner {
@@ -220,20 +208,20 @@ impl Inner {
         recorded.then(|| (session.session_id, session.name.clone()))
     }
 
-    fn look(&self, settings: &Settings, name: &str, recording: &Path) -> Result<(), Ended> {
-        let failed = |reason: String| Ended::Failed(reason);
+    fn look(&self, settings: &QuickLookConfig, name: &str, recording: &Path) -> Result<(), Progress> {
+        let failed = |reason: String| Progress::Failed { reason };
         let session = SessionReader::open_frames(recording).map_err(|e| failed(e.to_string()))?;
         let cameras: Vec<&str> = session.cameras().iter().map(|camera| camera.as_str()).collect();
         let cameras = cameras.join(",");
-        let triggers = spread(session.triggers(), settings.sets);
+        let triggers = spread(session.triggers(), settings.frame_sets);
         if triggers.is_empty() {
             return Err(failed("the session has no frames".to_owned()));
         }
         for (done, trigger) in triggers.iter().copied().enumerate() {
             self.change(name, |look| look.progress = Progress::Working { done, of: triggers.len() });
-            let out = settings.work_dir.join(format!("{name}-{}-{trigger}", self.node));
+            let out = self.sessions_dir.join(".quick-look").join(format!("{name}-{}-{trigger}", self.node));
             let made = self.reconstruct(settings, recording, &cameras, trigger, &out);
-            let cloud = made.and_then(|()| read_cloud(&out, trigger).map_err(Ended::Failed));
+            let cloud = made.and_then(|()| read_cloud(&out, trigger).map_err(failed));
             // What is left of a look that failed is of no use either.
             let _ = std::fs::remove_dir_all(&out);
             let bytes = Arc::new(encode(&cloud?, POINTS_MAX));
@@ -247,46 +235,37 @@ impl Inner {
 
     fn reconstruct(
         &self,
-        settings: &Settings,
+        settings: &QuickLookConfig,
         recording: &Path,
         cameras: &str,
         trigger: u64,
         out: &Path,
-    ) -> Result<(), Ended> {
-        let failed = |what: &str, error: std::io::Error| Ended::Failed(format!("{what}: {error}"));
-        std::fs::create_dir_all(out).map_err(|e| failed(&out.display().to_string(), e))?;
-        let log = regular::create(&out.join("log")).map_err(|e| failed("its log", e))?;
-        let command = idle_process::command(["reconstruct"]);
-        let mut child = command
-            .map_err(|e| failed("this program cannot be found", e))?
-            .arg(recording)
-            .arg("--calibration")
-            .arg(&settings.calibration)
-            .arg("--out")
-            .arg(out)
-            .args(["--triggers", &format!("{trigger}..{}", trigger + 1), "--cameras", cameras, "--jobs", "1"])
-            .stderr(log)
-            .spawn()
-            .map_err(|e| failed("`setpriv` (package util-linux)", e))?;
-        let status = loop {
-            if !self.is_idle() || self.ended.load(Ordering::Acquire) {
-                idle_process::end(&mut child);
-                return Err(Ended::GaveWay);
+    ) -> Result<(), Progress> {
+        let failed = |reason: String| Progress::Failed { reason };
+        std::fs::create_dir_all(out).map_err(|e| failed(format!("{}: {e}", out.display())))?;
+        let log = out.join("log");
+        let triggers = format!("{trigger}..{}", trigger + 1);
+        let mut args: Vec<OsString> = vec!["reconstruct".into(), recording.into()];
+        args.extend([
+            "--calibration".into(),
+            settings.calibration.clone().into(),
+            "--out".into(),
+            out.into(),
+        ]);
+        args.extend(["--triggers", &triggers, "--cameras", cameras, "--jobs", "1"].map(OsString::from));
+        let gives_way = |_| (!self.is_idle() || self.ended.load(Ordering::Acquire)).then_some(());
+        match task::run(args, &log, gives_way) {
+            // 3: a frame of the set is missing; the others are there.
+            Ok(Ended::ByItself(Some(0 | 3))) => Ok(()),
+            Ok(Ended::Interrupted(())) => Err(Progress::GaveWay),
+            Ok(Ended::ByItself(code)) => {
+                let code =
+                    code.map_or_else(|| "by a signal".to_owned(), |code| format!("with exit code {code}"));
+                let text = task::last_output(&log);
+                Err(failed(format!("no body could be made: the reconstruction ended {code}: {text}")))
             }
-            match child.try_wait().map_err(|e| failed("the reconstruction", e))? {
-                Some(status) => break status,
-                None => std::thread::sleep(POLL),
-            }
-        };
-        // 3: a frame of the set is missing; the others are there.
-        match status.code() {
-            Some(0 | 3) => Ok(()),
-            _ => {
-                let log = regular::read(&out.join("log"), regular::TEXT_BYTES).unwrap_or_default();
-                Err(Ended::Failed(format!(
-                    "the reconstruction ended with {status}: {}",
-                    String::from_utf8_lossy(&log).trim()
-                )))
+            Err(error) => {
+                Err(failed(format!("no body could be made: `setpriv` (package util-linux): {error}")))
             }
         }
     }
@@ -298,7 +277,7 @@ fn read_cloud(out: &Path, trigger: u64) -> Result<Cloud, String> {
     clouds.load(place).map(|(_, cloud)| cloud)
 }
 
-/// So many triggers in the middles of equal parts of the session.
+/// As many triggers as requested, in the middles of equal parts of the session.
 fn spread(triggers: std::ops::Range<u64>, count: usize) -> Vec<u64> {
     let (length, count) = (triggers.end.saturating_sub(triggers.start), count as u64);
     let at = |i: u64| triggers.start + (2 * i + 1) * length / (2 * count.max(1));
@@ -307,9 +286,9 @@ fn spread(triggers: std::ops::Range<u64>, count: usize) -> Vec<u64> {
     found
 }
 
-/// Points for a browser, little-endian, [`POINT_BYTES`] each: x, y, z as i16 in tenths of a millimetre, the normal as three
-/// i8 in 127ths, intensity as u8 in 255ths, the camera's number, and the standard uncertainty in hundredths of a millimetre
-/// (1 to 255; 0 where it is not known). A cloud of more than `most` points is thinned evenly.
+/// Points for a browser, little-endian, [`POINT_BYTES`] each: x, y, z as i16 in tenths of a millimetre, the normal as
+/// three i8 in 127ths, intensity as u8 in 255ths, the camera's number, and the standard uncertainty in hundredths of a
+/// millimetre (1 to 255; 0 where it is not known). A cloud of more than `most` points is thinned evenly.
 pub fn encode(cloud: &Cloud, most: usize) -> Vec<u8> {
     let step = cloud.len().div_ceil(most.max(1)).max(1);
     let mut bytes = Vec::with_capacity(cloud.len() / step * POINT_BYTES + POINT_BYTES);

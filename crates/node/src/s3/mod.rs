@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recordings and results in an S3-compatible object store, for machines that share no directory.
 //!
-//! `reconstruct` takes `s3://BUCKET/PREFIX` for the session and for `--out`. Recordings are read in many places and results are renamed into
-//! place, neither of which a store offers; so both are staged in a scratch directory ([`recordings`], [`results`]):
+//! `reconstruct` takes `s3://BUCKET/PREFIX` for the session and for `--out`. Recordings are read in many places and
+//! results are renamed into place, neither of which a store offers; so both are staged in a scratch directory
+//! ([`recordings`], [`results`]):
 //!
 //! ```text
-//! s3://BUCKET/SESSION/node-X/segment-NNN.mcap  -->  SCRATCH/session/...   its indexes, and the frames of the shard; holes elsewhere
-//! s3://BUCKET/OUT/phases/CAMERA_INDEX.phase    <->  SCRATCH/out/...       what is finished comes first, what is made goes back
+//! s3://BUCKET/SESSION/node-X/segment-NNN.mcap  -->  SCRATCH/session/...   indexes, and the frames of the shard
+//! s3://BUCKET/OUT/phases/CAMERA_INDEX.phase    <->  SCRATCH/out/...       finished files first, new ones go back
 //! s3://BUCKET/OUT/summary.json                 <--                        last
 //! ```
 //!
@@ -19,10 +20,9 @@ pub mod results;
 use std::fmt;
 use std::path::Path;
 
-/// Where objects are: `s3://BUCKET/PREFIX`.
+/// The place of objects in a store: `s3://BUCKET/PREFIX`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Location {
-    /// The bucket.
     pub bucket: String,
     /// Begins all names, without a slash at either end; may be empty.
     pub prefix: String,
@@ -55,10 +55,10 @@ impl Location {
     }
 }
 
-/// Requests that are under way at once: an answer takes its time wherever the store is.
+/// Number of requests that are under way at once, since each answer takes its time.
 const REQUESTS: usize = 8;
 
-/// Runs what sends requests from a rayon pool with so many of them at once.
+/// Runs `work` on a rayon pool, so that its requests are sent side by side.
 fn with_many_requests<T: Send>(work: impl FnOnce() -> Result<T, String> + Send) -> Result<T, String> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(REQUESTS).build();
     pool.map_err(|e| e.to_string())?.install(work)

@@ -6,8 +6,9 @@ use crate::base::ids::CameraId;
 use crate::record::{copy_frames, is_segment};
 use std::path::Path;
 
-/// Copies the indexes of all segments, and the frames that are wanted, into the directory `to`, which appears when all are there and
-/// which `SessionReader::open_frames` reads. Returns the bytes fetched. Recordings never change: what is there already is kept.
+/// Copies the indexes of all segments, and the frames that are wanted, into the directory `to`, which appears when all
+/// are there and which `SessionReader::open_frames` reads. Returns the bytes fetched. Recordings never change: what is
+/// there already is kept.
 pub fn stage(
     remote: &Remote,
     to: &Path,

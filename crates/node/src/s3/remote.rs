@@ -21,19 +21,19 @@ use std::path::Path;
 use std::time::Duration;
 use tokio::runtime::Runtime;
 
-/// For so long a store may be silent, or refuse connections, before a request is given up.
+/// Longest time that a store may be silent, or refuse connections, before a request fails.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// One answer may take this long.
+/// Longest time that one answer may take.
 const ANSWER: Duration = Duration::from_secs(120);
-/// Files are sent and fetched in pieces of this size, bytes; what is smaller is one object put at once.
+/// Size of the pieces in which files are sent and fetched, bytes; a smaller file is one object.
 const PIECE: u64 = 16 << 20;
 
-/// An object.
+/// The name and size of a stored object.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Object {
     /// Its name below the location.
     pub name: String,
-    /// Bytes.
+    /// Size of the object in bytes.
     pub size: u64,
 }
 
@@ -46,7 +46,7 @@ pub struct Remote {
 }
 
 impl Remote {
-    /// Opens no connection yet.
+    /// A client for this location; no connection is opened yet.
     pub fn new(location: Location) -> Result<Self, String> {
         let failed = |e: &dyn std::fmt::Display| format!("{location}: {e}");
         let retry = RetryConfig {
@@ -67,7 +67,7 @@ impl Remote {
         Ok(Self { location, store, runtime })
     }
 
-    /// Where its objects are.
+    /// The location that all names are relative to.
     pub fn location(&self) -> &Location {
         &self.location
     }
@@ -101,7 +101,7 @@ impl Remote {
         ))
     }
 
-    /// Bytes of an object.
+    /// Reads a range of an object's bytes.
     pub fn read(&self, name: &str, range: Range<u64>) -> Result<Vec<u8>, String> {
         let path = self.path(name)?;
         let expected = range.end.saturating_sub(range.start);
@@ -208,7 +208,7 @@ impl HttpService for Connector {
     }
 }
 
-/// An error that says all that lies behind it.
+/// An error with the texts of all its causes.
 fn with_causes(error: &dyn std::error::Error) -> std::io::Error {
     let causes = std::iter::successors(Some(error), |error| error.source());
     std::io::Error::other(causes.map(ToString::to_string).collect::<Vec<_>>().join(": "))

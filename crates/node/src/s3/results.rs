@@ -13,14 +13,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-/// Folders of files that belong to a trigger each, and how their names end.
+/// Folders of files that belong to one trigger each, and the ends of their names.
 const FOLDERS: [(&str, &str); 3] = [("clouds", ".ply"), ("merged", ".ply"), ("phases", ".phase")];
-/// How often finished files are looked for.
+/// Time between two looks for finished files.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// Fetches the files of the triggers that are wanted, and the objects at the location itself whose names are; whatever they are
-/// worth, the reconstruction looks at them as at any file that it finds. Returns the names of those that were fetched: files that a run
-/// has left here stay, and may not be in the store.
+/// Fetches the files of the triggers that are wanted, and the objects at the location itself whose names are; whatever
+/// they are worth, the reconstruction looks at them as at any file that it finds. Returns the names of those that were
+/// fetched: files that a run has left here stay, and may not be in the store.
 pub fn fetch(
     remote: &Remote,
     out: &Path,
@@ -80,7 +80,7 @@ impl Uploader {
         Ok(Self { files, stop, thread: Some(thread) })
     }
 
-    /// Sends what is left.
+    /// Sends the files that are left, and ends the thread.
     pub fn finish(mut self) -> Result<(), String> {
         self.stop.store(true, Ordering::Release);
         let mut sent = self.thread.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
@@ -126,7 +126,7 @@ impl Files {
         Ok(())
     }
 
-    /// Until it is told to stop. A store that is away is tried again; the last word is `finish`.
+    /// Sends finished files until `stop` is set. A store that does not answer is tried again; `finish` sends the rest.
     fn send_on(&self, mut sent: Sent, stop: &AtomicBool) -> Sent {
         let mut told = false;
         while !stop.load(Ordering::Acquire) {

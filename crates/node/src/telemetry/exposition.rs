@@ -13,30 +13,26 @@ use utoipa::ToSchema;
 pub enum Kind {
     /// Grows; begins anew with each session or process.
     Counter,
-    /// Goes up and down.
+    /// A value that goes up and down.
     Gauge,
-    /// Durations in classes.
+    /// Durations, counted in classes of their length.
     Histogram,
 }
 
 impl fmt::Display for Kind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Counter => "counter",
-            Self::Gauge => "gauge",
-            Self::Histogram => "histogram",
-        })
+        self.serialize(f)
     }
 }
 
-/// Numbers of one name.
+/// All values of one metric, one for each combination of labels.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Family {
     /// With its unit at the end, as Prometheus names things.
     pub name: String,
-    /// What it is.
+    /// What the metric measures, in one sentence.
     pub help: String,
-    /// Of what kind.
+    /// Whether it is a counter, a gauge or a histogram.
     pub kind: Kind,
     /// One for each combination of labels.
     pub samples: Vec<Sample>,
@@ -45,28 +41,28 @@ pub struct Family {
 /// One number, or one histogram.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Sample {
-    /// What it is of.
+    /// Labels and their values, such as the camera's name.
     pub labels: BTreeMap<String, String>,
     /// The number; of a histogram, how many durations were counted.
     pub value: f64,
-    /// Of a histogram.
+    /// The classes of a histogram; none for counters and gauges.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distribution: Option<Distribution>,
 }
 
-/// Durations in cumulative classes.
+/// Durations, counted in cumulative classes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Distribution {
-    /// Up to so long, s, and how many there were; each includes the ones before.
+    /// The classes by their upper bound, s; each includes the shorter ones.
     pub buckets: Vec<Bucket>,
     /// The sum of all, s.
     pub sum: f64,
 }
 
-/// One class.
+/// One class of a histogram, which includes all shorter ones.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Bucket {
-    /// The upper bound, s.
+    /// The upper bound of the class, s.
     pub le: f64,
     /// How many were not longer.
     pub count: u64,
@@ -76,13 +72,13 @@ pub struct Bucket {
 const EXPONENTS: std::ops::RangeInclusive<u32> = 8..=24;
 
 impl Sample {
-    /// A number with labels.
+    /// A single value with its labels.
     pub fn new(labels: &[(&str, &str)], value: f64) -> Self {
         let labels = labels.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
         Self { labels, value, distribution: None }
     }
 
-    /// A histogram with labels.
+    /// The classes of a histogram, with labels.
     pub fn of(labels: &[(&str, &str)], histogram: &Histogram) -> Self {
         let counts = histogram.below_powers_of_two(EXPONENTS);
         let bucket = |(exponent, count)| Bucket { le: f64::from(exponent).exp2() / 1e6, count };
@@ -95,9 +91,14 @@ impl Sample {
 }
 
 impl Family {
-    /// A family.
+    /// A family with these samples.
     pub fn new(name: &str, help: &str, kind: Kind, samples: Vec<Sample>) -> Self {
         Self { name: name.to_owned(), help: help.to_owned(), kind, samples }
+    }
+
+    /// A family of one number without labels: its name, help, kind and value.
+    pub fn single((name, help, kind, value): (&str, &str, Kind, f64)) -> Self {
+        Self::new(name, help, kind, vec![Sample::new(&[], value)])
     }
 }
 

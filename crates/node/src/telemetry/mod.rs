@@ -32,7 +32,6 @@ pub struct Telemetry {
 /// The session in progress, or the last one.
 #[derive(Debug, Clone)]
 pub struct Current {
-    /// What the recorder counts.
     pub progress: Arc<Progress>,
     /// What the writer counts; none in a dry run.
     pub disk: Option<Arc<DiskProgress>>,
@@ -63,20 +62,20 @@ impl NodeFacts {
 }
 
 impl Telemetry {
-    /// A session begins.
+    /// Counts a session that begins, and shows its counters from now on.
     pub fn begin(&self, current: Current) {
         self.sessions.fetch_add(1, Ordering::Relaxed);
         *lock(&self.current) = Some(current);
     }
 
-    /// Its recording was created.
+    /// Adds the counters of the session's recording, once it was created.
     pub fn recording(&self, disk: Arc<DiskProgress>) {
         if let Some(current) = lock(&self.current).as_mut() {
             current.disk = Some(disk);
         }
     }
 
-    /// Cameras were set up.
+    /// Stores the settings that a camera read back when it was set up.
     pub fn applied(&self, camera: &CameraId, settings: Vec<AppliedSetting>) {
         lock(&self.applied).insert(camera.clone(), settings);
     }
@@ -111,32 +110,24 @@ impl Telemetry {
         judged
     }
 
-    /// All metrics.
+    /// All metrics of the node, and of the session in progress or the last one.
     pub fn metrics(&self, facts: &NodeFacts) -> Vec<Family> {
-        let one = |value: f64| vec![Sample::new(&[], value)];
         let flag = |usable: bool| f64::from(u8::from(usable));
         let cameras =
             facts.cameras.iter().map(|(id, usable)| Sample::new(&[("camera", id.as_str())], flag(*usable)));
-        let counter =
-            |name, help, value: &AtomicU64| Family::new(name, help, Kind::Counter, one(load(value) as f64));
-        let gauge = |name, help, value: f64| Family::new(name, help, Kind::Gauge, one(value));
-        let mut families = vec![
-            Family::new(
-                "fourdbody_camera_usable",
-                "1 when a camera answers.",
-                Kind::Gauge,
-                cameras.collect(),
-            ),
-            gauge("fourdbody_hsu_usable", "1 when the HSU answers.", flag(facts.hsu)),
-            gauge(
-                "fourdbody_disk_free_bytes",
-                "Free space where sessions are recorded.",
-                facts.free_bytes as f64,
-            ),
-            gauge("fourdbody_disk_left_seconds", "How long a session can be.", facts.disk_seconds_left()),
-            counter("fourdbody_node_turns_total", "Turns of the node's thread.", &self.node_turns),
-            counter("fourdbody_sessions_total", "Sessions prepared.", &self.sessions),
+        let usable = "1 when a camera answers.";
+        let mut families =
+            vec![Family::new("fourdbody_camera_usable", usable, Kind::Gauge, cameras.collect())];
+        let (free, left) = (facts.free_bytes as f64, facts.disk_seconds_left());
+        let (turns, sessions) = (load(&self.node_turns) as f64, load(&self.sessions) as f64);
+        let single = [
+            ("fourdbody_hsu_usable", "1 when the HSU answers.", Kind::Gauge, flag(facts.hsu)),
+            ("fourdbody_disk_free_bytes", "Free space where sessions are recorded.", Kind::Gauge, free),
+            ("fourdbody_disk_left_seconds", "How long a session can be.", Kind::Gauge, left),
+            ("fourdbody_node_turns_total", "Turns of the node's thread.", Kind::Counter, turns),
+            ("fourdbody_sessions_total", "Sessions prepared.", Kind::Counter, sessions),
         ];
+        families.extend(single.map(Family::single));
         if let Some(current) = self.current() {
             let ids: Vec<&str> = facts.cameras.iter().map(|(id, _)| id.as_str()).collect();
             families.extend(session_metrics(&current, &ids));
@@ -155,8 +146,6 @@ fn session_metrics(current: &Current, cameras: &[&str]) -> Vec<Family> {
             .map(|(id, count)| Sample::new(&[("camera", id)], load(count) as f64));
         Family::new(name, help, Kind::Counter, samples.collect())
     };
-    let one =
-        |name, help, kind, value: u64| Family::new(name, help, kind, vec![Sample::new(&[], value as f64)]);
     let gaps = cameras.iter().zip(&progress.causes).flat_map(|(camera, causes)| {
         let counted = GapCause::ALL.iter().zip(causes);
         counted.map(|(cause, count)| {
@@ -175,56 +164,31 @@ fn session_metrics(current: &Current, cameras: &[&str]) -> Vec<Family> {
         .into_iter()
         .chain(durable)
         .map(|(stage, histogram)| Sample::of(&[("stage", stage)], histogram));
-    vec![
-        one("fourdbody_triggers_total", "Triggers reported.", Kind::Counter, load(&progress.triggers)),
+    let by_stage = "How long frames took, by stage.";
+    let mut families = vec![
         of_cameras("fourdbody_packets_total", "Packets seen.", &progress.activity),
         of_cameras("fourdbody_frames_received_total", "Frames taken off the stream.", &progress.received),
         of_cameras("fourdbody_frames_written_total", "Frames that the writer took.", &progress.frames),
         Family::new("fourdbody_gaps_total", "Gap records, by cause.", Kind::Counter, gaps.collect()),
-        one(
-            "fourdbody_frames_dropped_total",
-            "Frames dropped before a full ring.",
-            Kind::Counter,
-            load(&progress.dropped),
-        ),
-        one(
-            "fourdbody_ring_high_water_frames",
-            "Most frames in the ring.",
-            Kind::Gauge,
-            load(&progress.ring_high_water),
-        ),
-        one("fourdbody_ring_capacity_frames", "Frames that fit into the ring.", Kind::Gauge, *ring_capacity),
-        one(
-            "fourdbody_waiting_high_water_frames",
-            "Most frames in and before the ring.",
-            Kind::Gauge,
-            load(&progress.high_water),
-        ),
-        one(
-            "fourdbody_written_bytes_total",
-            "Bytes of frames handed to the disk.",
-            Kind::Counter,
-            disk.as_ref().map_or(0, |disk| load(&disk.bytes)),
-        ),
-        one(
-            "fourdbody_recorder_turns_total",
-            "Turns of the thread that keeps the accounting.",
-            Kind::Counter,
-            load(&progress.recorder_turns),
-        ),
-        one(
-            "fourdbody_writer_turns_total",
-            "Turns of the writer's thread.",
-            Kind::Counter,
-            load(&progress.writer_turns),
-        ),
-        Family::new(
-            "fourdbody_latency_seconds",
-            "How long frames took, by stage.",
-            Kind::Histogram,
-            stages.collect(),
-        ),
-    ]
+        Family::new("fourdbody_latency_seconds", by_stage, Kind::Histogram, stages.collect()),
+    ];
+    let written = disk.as_ref().map_or(0, |disk| load(&disk.bytes));
+    let (dropped, high) = (load(&progress.dropped), load(&progress.ring_high_water));
+    let (recorder, writer) = (load(&progress.recorder_turns), load(&progress.writer_turns));
+    let (waiting, most) = (load(&progress.high_water), "Most frames in and before the ring.");
+    let accounting = "Turns of the thread that keeps the accounting.";
+    let single = [
+        ("fourdbody_triggers_total", "Triggers reported.", Kind::Counter, load(&progress.triggers)),
+        ("fourdbody_frames_dropped_total", "Frames dropped before a full ring.", Kind::Counter, dropped),
+        ("fourdbody_ring_high_water_frames", "Most frames in the ring.", Kind::Gauge, high),
+        ("fourdbody_ring_capacity_frames", "Frames that fit into the ring.", Kind::Gauge, *ring_capacity),
+        ("fourdbody_waiting_high_water_frames", most, Kind::Gauge, waiting),
+        ("fourdbody_written_bytes_total", "Bytes of frames handed to the disk.", Kind::Counter, written),
+        ("fourdbody_recorder_turns_total", accounting, Kind::Counter, recorder),
+        ("fourdbody_writer_turns_total", "Turns of the writer's thread.", Kind::Counter, writer),
+    ];
+    families.extend(single.map(|(name, help, kind, value)| Family::single((name, help, kind, value as f64))));
+    families
 }
 
 fn load(counter: &AtomicU64) -> u64 {

@@ -8,9 +8,9 @@ use utoipa::ToSchema;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Grade {
-    /// As it should be.
+    /// The value is as it should be.
     Good,
-    /// Neither good nor bad.
+    /// The value lies between the two bounds.
     Fair,
     /// Frames are lost, or soon will be.
     Bad,
@@ -31,7 +31,7 @@ pub struct Threshold {
     pub meaning: &'static str,
 }
 
-/// Cameras of the node that cannot be used.
+/// Number of the node's cameras that cannot be used.
 pub const CAMERAS_MISSING: Threshold = Threshold {
     name: "cameras_missing",
     unit: "cameras",
@@ -47,7 +47,7 @@ pub const HSU_MISSING: Threshold = Threshold {
     bad: 1.0,
     meaning: "links to the HSU that are down: no session can start",
 };
-/// Time until the disk is full.
+/// Seconds of capture until the disk is full.
 pub const DISK_TIME_LEFT: Threshold = Threshold {
     name: "disk_time_left",
     unit: "s",
@@ -55,73 +55,73 @@ pub const DISK_TIME_LEFT: Threshold = Threshold {
     bad: 60.0,
     meaning: "seconds of capture that the disk still holds, above its reserve",
 };
-/// Missing frames.
+/// Share of the frames that have a gap record in their place.
 pub const FRAMES_MISSING: Threshold = Threshold {
     name: "frames_missing",
     unit: "%",
     good: 0.0,
     bad: 0.1,
-    meaning: "share of the frames so far that have a gap record instead; any makes the verdict incomplete",
+    meaning: "share of the frames so far that are missing; a single one makes the verdict incomplete",
 };
-/// The fullest that the ring was.
+/// The highest level of the ring before the writer.
 pub const RING_HIGH_WATER: Threshold = Threshold {
     name: "ring_high_water",
     unit: "%",
     good: 25.0,
     bad: 75.0,
-    meaning: "the fullest that the ring before the writer was in this session; full means lost frames",
+    meaning: "highest level of the buffer before the disk in this session; when it is full, frames are lost",
 };
-/// Last packet to match.
+/// Time from a frame's last packet until its trigger is known.
 pub const MATCH_P99: Threshold = Threshold {
     name: "match_p99",
     unit: "ms",
     good: 50.0,
     bad: 250.0,
-    meaning: "from a frame's last packet until its trigger is known, for 99 of 100 frames",
+    meaning: "time from a frame's last packet until its trigger is known, for 99 of 100 frames",
 };
-/// Match to write.
+/// Time in the ring until the writer has taken the frame.
 pub const WRITE_P99: Threshold = Threshold {
     name: "write_p99",
     unit: "ms",
     good: 100.0,
     bad: 300.0,
-    meaning: "in the ring until the writer had taken the frame, for 99 of 100 frames; the ring holds 400 ms at 120 Hz",
+    meaning: "time in the buffer before the disk, for 99 of 100 frames; it holds 400 ms at 120 Hz",
 };
-/// Write to durable.
+/// Time from the writer until the frame survives a power cut.
 pub const DURABLE_P99: Threshold = Threshold {
     name: "durable_p99",
     unit: "ms",
     good: 600.0,
     bad: 1000.0,
-    meaning: "from the writer until the frame survives a power cut, for 99 of 100 frames; a second is promised",
+    meaning: "time until a written frame survives a power cut, for 99 of 100 frames; expected below a second",
 };
 
-/// Saturated pixels of a picture.
+/// Share of a picture's lit pixels that are saturated.
 pub const SATURATED: Threshold = Threshold {
     name: "saturated",
     unit: "%",
     good: 0.2,
     bad: 1.0,
-    meaning: "share of a camera's lit pixels that are saturated: a cut fringe has no phase",
+    meaning: "share of a camera's lit pixels that are saturated: a clipped fringe has no phase",
 };
-/// Amplitude of the fringes.
+/// Median amplitude of the fringes in a picture.
 pub const MODULATION: Threshold = Threshold {
     name: "modulation",
     unit: "DN",
     good: 30.0,
     bad: 12.0,
-    meaning: "median fringe amplitude of what a camera sees lit: the noise of a point goes with its inverse",
+    meaning: "median fringe amplitude of the lit pixels: with a smaller one, points are noisier",
 };
-/// How much of the picture is lit.
+/// Share of the picture that is lit.
 pub const LIT: Threshold = Threshold {
     name: "lit",
     unit: "%",
     good: 2.0,
     bad: 0.5,
-    meaning: "share of a camera's picture that is lit: is there anybody, and light?",
+    meaning: "share of a camera's picture that is lit: is the subject in place, and is the light on?",
 };
 
-/// All of them, in the order in which they are shown.
+/// All thresholds, in the order in which they are shown.
 pub const ALL: [Threshold; 11] = [
     CAMERAS_MISSING,
     HSU_MISSING,
@@ -136,20 +136,20 @@ pub const ALL: [Threshold; 11] = [
     LIT,
 ];
 
-/// A value, judged.
+/// A measured value with its threshold and grade.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Judgement {
-    /// The threshold's name.
+    /// The name of the threshold, such as `ring_high_water`.
     pub name: String,
     /// Of the value and both bounds.
     pub unit: String,
-    /// What was measured.
+    /// The measured value, in `unit`.
     pub value: f64,
     /// Good up to here (or from here on, where more is better).
     pub good: f64,
     /// Bad from here on (or up to here).
     pub bad: f64,
-    /// What that makes it.
+    /// The grade of the value by these bounds.
     pub grade: Grade,
     /// What is measured, and what follows when it is bad.
     pub meaning: String,
@@ -169,7 +169,7 @@ impl Threshold {
         }
     }
 
-    /// Judges a value.
+    /// Grades a value, and returns it with its bounds.
     pub fn judge(&self, value: f64) -> Judgement {
         Judgement {
             name: self.name.to_owned(),

@@ -7,13 +7,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Sessions that are kept in mind: those whose jobs were written last.
+/// Number of sessions that are listed: those whose jobs were written last.
 const KNOWN_MAX: usize = 1000;
 
 /// A session whose clouds are there.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Done {
-    /// The session's name.
     pub session: String,
     /// The id that its recordings share.
     pub session_id: String,
@@ -61,7 +60,7 @@ impl DoneSessions {
         self.known.get(session)?.1.as_ref()
     }
 
-    /// Those that are done.
+    /// All sessions whose clouds are complete.
     pub fn all(&self) -> impl Iterator<Item = &Done> {
         self.known.values().filter_map(|(_, done)| done.as_ref())
     }

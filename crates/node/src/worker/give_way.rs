@@ -9,54 +9,49 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// How often a node is asked.
+/// Time between two status requests to a node.
 const POLL: Duration = Duration::from_millis(150);
 
 /// Threads that ask the nodes; they end when this is dropped.
 pub struct GiveWay {
-    busy: Vec<Arc<Seen>>,
+    /// The session of each node, where it is in one.
+    sessions: Vec<Arc<Mutex<Option<String>>>>,
     ended: Arc<AtomicBool>,
-}
-
-#[derive(Default)]
-struct Seen {
-    busy: AtomicBool,
-    told: Mutex<Option<String>>,
 }
 
 impl GiveWay {
     /// Begins to ask the nodes that have a URL. A node that does not answer runs no capture.
     pub fn start(nodes: &[WorkerNode]) -> Result<Self, Fault> {
         let ended = Arc::new(AtomicBool::new(false));
-        let mut busy = Vec::new();
+        let mut sessions = Vec::new();
         for node in nodes {
             let Some(url) = &node.url else { continue };
             let credentials = Credentials { token_file: node.token_file.clone(), ca: node.ca.clone() };
             let client = NodeClient::with(url, &credentials)?;
-            let seen = Arc::new(Seen::default());
+            let seen = Arc::<Mutex<Option<String>>>::default();
             let (watched, ended, name) = (Arc::clone(&seen), Arc::clone(&ended), node.name.clone());
             let watch = move || {
                 while !ended.load(Ordering::Acquire) {
                     let phase = client.status().map_or(Phase::Idle, |status| status.phase);
                     let text =
                         (phase != Phase::Idle).then(|| format!("node {name}: {phase:?}").to_lowercase());
-                    *watched.told.lock().unwrap_or_else(PoisonError::into_inner) = text;
-                    watched.busy.store(phase != Phase::Idle, Ordering::Release);
+                    *watched.lock().unwrap_or_else(PoisonError::into_inner) = text;
                     std::thread::sleep(POLL);
                 }
             };
             let thread = std::thread::Builder::new().name("give-way".to_owned()).spawn(watch);
             thread
                 .map_err(|e| Fault::new(crate::base::Exit::Failure, format!("cannot start a thread: {e}")))?;
-            busy.push(seen);
+            sessions.push(seen);
         }
-        Ok(Self { busy, ended })
+        Ok(Self { sessions, ended })
     }
 
     /// The capture to give way to, if there is one.
     pub fn to(&self) -> Option<String> {
-        let seen = self.busy.iter().find(|seen| seen.busy.load(Ordering::Acquire))?;
-        seen.told.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        let lock =
+            |seen: &Arc<Mutex<Option<String>>>| seen.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        self.sessions.iter().find_map(lock)
     }
 }
 

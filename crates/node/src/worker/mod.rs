@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Reconstructs what the nodes have recorded, by itself, on time that nobody else wants.
+//! Reconstructs the recordings of the nodes by itself, at idle priority.
 //!
-//! `docs/design/worker.md` states what it must keep true. [`run::Worker`] does the work; what it finds is in [`queue`], what has
-//! become of it in [`state`]; [`retention`] is for `fourdbody prune`, which asks `second_copy` whether an archive
-//! has one.
+//! `docs/design/worker.md` states what it must keep true. [`run::Worker`] does the work; [`queue`] lists the sessions,
+//! [`state`] keeps their jobs; [`retention`] is for `fourdbody prune`, which checks by `second_copy` whether an
+//! archive has a copy.
 
 pub mod done;
 pub mod give_way;
@@ -12,5 +12,4 @@ pub mod retention;
 pub mod run;
 mod second_copy;
 pub mod state;
-mod task;
 pub mod watch;

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which sessions are there, and which comes next.
 
-use super::state::{Job, Stage, now_ns};
+use super::state::{Job, Stage};
 use crate::base::ids::SessionName;
+use crate::base::time::host_time_ns;
 use crate::config::{Order, WorkerConfig};
 use crate::record::catalogue::{self, CatalogueEntry};
 use std::collections::BTreeSet;
@@ -12,13 +13,11 @@ use std::time::UNIX_EPOCH;
 /// A session whose recordings can be worked on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Found {
-    /// Its name.
     pub name: String,
     /// The id that its recordings share.
     pub session_id: String,
     /// When it was begun, host clock, ns.
     pub created_ns: u64,
-    /// Its triggers.
     pub triggers: u64,
     /// Frames of all nodes, as the verdicts count them.
     pub frames: u64,
@@ -26,7 +25,7 @@ pub struct Found {
     pub parts: Vec<PathBuf>,
 }
 
-/// What there is.
+/// All recorded sessions, sorted by what is left to do for them.
 #[derive(Debug, Default)]
 pub struct Inventory {
     /// Sessions with something to do, in the order in which they come.
@@ -35,7 +34,6 @@ pub struct Inventory {
     pub not_yet: Vec<(String, String)>,
     /// How many of these wait only for their next attempt.
     pub retries: u64,
-    /// Sessions that are done.
     pub done: u64,
     /// Sessions that were set aside, each with the reason.
     pub set_aside: Vec<(String, String)>,
@@ -55,7 +53,13 @@ pub fn look(config: &WorkerConfig, first: &[String]) -> Inventory {
             },
             Some(job) => inventory.set_aside.push((name, job.reason.unwrap_or_default())),
             None => match parts(config, &name) {
-                Ok(found) => inventory.ready.push(found),
+                Ok(found) => match later(config, &name) {
+                    None => inventory.ready.push(found),
+                    Some(reason) => {
+                        inventory.retries += 1;
+                        inventory.not_yet.push((name, reason));
+                    }
+                },
                 Err(reason) => inventory.not_yet.push((name, reason)),
             },
         }
@@ -65,27 +69,18 @@ pub fn look(config: &WorkerConfig, first: &[String]) -> Inventory {
         Order::Newest => (place(found), u64::MAX - found.created_ns),
         Order::Oldest => (place(found), found.created_ns),
     });
-    let now = now_ns();
-    let later = |found: &Found| {
-        let job = Job::load(&config.results, &found.name)?;
-        let wait_s = job.not_before_ns.checked_sub(now).filter(|ns| *ns > 0)? / 1_000_000_000;
-        Some(format!("tried again in {wait_s} s: {}", job.reason.unwrap_or_default()))
-    };
-    let (waiting, ready): (Vec<_>, Vec<_>) = inventory
-        .ready
-        .into_iter()
-        .map(|found| (later(&found), found))
-        .partition(|(later, _)| later.is_some());
-    inventory.retries = waiting.len() as u64;
-    inventory.ready = ready.into_iter().map(|(_, found)| found).collect();
-    inventory
-        .not_yet
-        .extend(waiting.into_iter().map(|(later, found)| (found.name, later.unwrap_or_default())));
     inventory
 }
 
-/// Whether there is a recording of another session under the name of one that is done. Only those that have changed since
-/// are looked into.
+/// Why a session that could be worked on waits for its next attempt.
+fn later(config: &WorkerConfig, name: &str) -> Option<String> {
+    let job = Job::load(&config.results, name)?;
+    let wait_s = job.not_before_ns.checked_sub(host_time_ns()).filter(|ns| *ns > 0)? / 1_000_000_000;
+    Some(format!("tried again in {wait_s} s: {}", job.reason.unwrap_or_default()))
+}
+
+/// Whether there is a recording of another session under the name of one that is done. Only those that have changed
+/// since are looked into.
 fn recorded_since(config: &WorkerConfig, job: &Job) -> bool {
     config.nodes.iter().any(|node| {
         let part = crate::record::node_dir(&node.sessions_dir.join(&job.session), &node.name);

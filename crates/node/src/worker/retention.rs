@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Making room: recordings that are verified, reconstructed and copied may be deleted, by name, when somebody asks for it.
+//! Making room: recordings that are verified, reconstructed and copied may be deleted, by name, on request.
 
 use super::queue::{self, Found};
 use super::second_copy::{self, SecondCopy};
@@ -12,18 +12,16 @@ use crate::record::verify::{Severity, verify};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Of all frames with light, so many have a cloud where a recording may go: of the rest a later version could make more. A camera whose
-/// frames are all refused is an eighth.
+/// Least share of the frames with light that must have a cloud before a recording may be deleted: a later version
+/// could make more of the rest. A camera whose frames are all refused is an eighth.
 pub const SHARE_OF_LIT: f64 = 0.99;
 
 /// Whether a session's recordings may be deleted.
 #[derive(Debug, Serialize)]
 pub struct Judgement {
-    /// The session.
     pub session: String,
-    /// Its recordings.
     pub parts: Vec<PathBuf>,
-    /// Their size, bytes.
+    /// Size of all its recordings together, bytes.
     pub bytes: u64,
     /// Why they must stay; nothing: they may go.
     pub stays: Vec<String>,
@@ -32,8 +30,8 @@ pub struct Judgement {
     copies: Vec<SecondCopy>,
 }
 
-/// Judges a session. `thoroughly`: every byte is compared with the archive, and what lies there is verified; otherwise only what can be
-/// seen at a glance.
+/// Judges a session. `thoroughly`: every byte is compared with the archive, and what lies there is verified; otherwise
+/// only what can be seen at a glance.
 pub fn judge(config: &WorkerConfig, session: &str, thoroughly: bool) -> Judgement {
     let mut judgement = Judgement {
         session: session.to_owned(),
@@ -160,7 +158,7 @@ mod tests {
     use crate::batch::summary::Summary;
     use serde_json::json;
 
-    /// A summary of so many clouds, frames refused with light, and frames refused without.
+    /// A summary with these numbers of clouds, frames refused with light, and frames refused without.
     fn summary(clouds: u64, refused: u64, dark: u64) -> Summary {
         let frame = |outcome: &str, reason: Option<&str>| {
             let mut frame = json!({

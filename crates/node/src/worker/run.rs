@@ -3,8 +3,8 @@
 
 use super::give_way::GiveWay;
 use super::queue::{self, Found};
-use super::state::{Activity, Job, OWN_DIR, Stage, WorkerState, now_ns};
-use super::task::{self, Ended, Interruption};
+use super::state::{Activity, Job, OWN_DIR, Stage, WorkerState};
+use crate::base::time::host_time_ns;
 use crate::base::{Exit, Fault, regular, write_whole};
 use crate::batch::collect_shards;
 use crate::batch::key::{ALGORITHM, CALIBRATION_FILE, KEY_FILE, Key, calibration_sha256};
@@ -12,6 +12,7 @@ use crate::calibrate::drift::history;
 use crate::config::{Output, WorkerConfig};
 use crate::data::Calibration;
 use crate::record::{free_bytes, node_dir};
+use crate::task::{self, Ended};
 use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fs::{File, TryLockError};
@@ -21,16 +22,18 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How often sessions are looked for when there is nothing to do.
+/// Time between two looks for sessions when there is nothing to do.
 const LOOK: Duration = Duration::from_secs(2);
-/// How often progress is written down.
-const TELL: Duration = Duration::from_secs(1);
-/// How long to wait before the second attempt; twice as long before each further one.
+/// Time between two writes of the worker's state while a process runs.
+const STATE_PERIOD: Duration = Duration::from_secs(1);
+/// Time before the second attempt at a session; doubled before each further one.
 const RETRY: Duration = Duration::from_secs(10);
-/// With less room than this a failure is blamed on the disk: four frame sets as PLY files.
+/// With less free space than this a failure is attributed to the disk: four frame sets as PLY files.
 const SHORT_BYTES: u64 = 256 << 20;
 
-/// The worker of a results' directory.
+/// The worker of one results' directory. `fourdbody worker` makes it, and it holds the directory's lock until it is
+/// dropped. It works on one session at a time, in processes that it can end at any moment, and never while a node is
+/// in a session; a session that fails too often is set aside with the reason.
 pub struct Worker {
     config: WorkerConfig,
     give_way: GiveWay,
@@ -40,6 +43,17 @@ pub struct Worker {
     retries: u64,
     /// Held as long as it lives.
     _lock: File,
+}
+
+/// Why the worker ends a process that did nothing wrong.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Interruption {
+    /// The worker itself has to end.
+    Stop,
+    /// A capture needs the machine.
+    Capture(String),
+    /// Something is missing that is not the session's fault.
+    Obstacle(String),
 }
 
 /// What came of a session in one go.
@@ -63,7 +77,7 @@ impl Worker {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
                 let message = format!(
-                    "another worker is at work on {}; end it, or use other results",
+                    "another worker is running on {}; end it, or use another results directory",
                     config.results.display()
                 );
                 return Err(Fault::new(Exit::Usage, message));
@@ -76,7 +90,7 @@ impl Worker {
 
     /// Works until it is stopped; with `once` until there is nothing to do. Whether every session found is done.
     pub fn run(&mut self, once: bool) -> Result<bool, Fault> {
-        let mut told = None;
+        let mut shown = None;
         while !self.stop.load(Ordering::Acquire) {
             let found = self.look();
             let obstacle = self.obstacle();
@@ -97,16 +111,16 @@ impl Worker {
                     None => continue,
                 },
                 (None, None) if once && self.retries == 0 => break,
-                (None, None) => self.say(Activity::Idle, None),
+                (None, None) => self.publish(Activity::Idle, None),
             }
-            if told.as_ref() != Some(&self.state.line()) {
-                told = Some(self.state.line());
+            if shown.as_ref() != Some(&self.state.line()) {
+                shown = Some(self.state.line());
                 tracing::info!("{}", self.state.line());
             }
             self.sleep(LOOK);
         }
         self.state.job = None;
-        self.say(Activity::Ended, None);
+        self.publish(Activity::Ended, None);
         Ok(self.state.queued.is_empty() && self.state.not_yet.is_empty() && self.state.set_aside.is_empty())
     }
 
@@ -126,7 +140,7 @@ impl Worker {
         self.give_way.to().map(Interruption::Capture)
     }
 
-    /// What keeps any session from being worked on, and is nobody's fault.
+    /// What keeps any session from being worked on, and is not a session's fault.
     fn obstacle(&self) -> Option<Interruption> {
         let results = &self.config.results;
         let reason = match free_bytes(results) {
@@ -145,15 +159,15 @@ impl Worker {
     fn rest(&mut self, interruption: &Interruption) {
         match interruption {
             Interruption::Stop => {}
-            Interruption::Capture(node) => self.say(Activity::GivesWay, Some(node.clone())),
-            Interruption::Obstacle(reason) => self.say(Activity::Waiting, Some(reason.clone())),
+            Interruption::Capture(node) => self.publish(Activity::GivesWay, Some(node.clone())),
+            Interruption::Obstacle(reason) => self.publish(Activity::Waiting, Some(reason.clone())),
         }
     }
 
-    fn say(&mut self, activity: Activity, reason: Option<String>) {
+    fn publish(&mut self, activity: Activity, reason: Option<String>) {
         self.state.activity = activity;
         self.state.reason = reason;
-        self.state.written_ns = now_ns();
+        self.state.written_ns = host_time_ns();
         // What cannot be written now is written a second later; the state is for people.
         if let Err(error) = self.state.store(&self.config.results) {
             tracing::warn!("the worker's state cannot be written: {error}");
@@ -177,7 +191,8 @@ impl Worker {
         queue::parts(&self.config, &found.name).err()
     }
 
-    /// One session, until it is done or something comes between. What kept it from being done that is not its own fault.
+    /// One session, until it is done or something comes between. What kept it from being done that is not its own
+    /// fault.
     fn work(&mut self, found: &Found) -> Option<String> {
         let results = self.config.results.clone();
         let mut job = Job::load(&results, &found.name).unwrap_or_default();
@@ -208,7 +223,7 @@ impl Worker {
                 obstacle = self.blame(found);
                 job.attempts += u32::from(obstacle.is_none());
                 let wait = RETRY * 2_u32.saturating_pow(job.attempts.saturating_sub(1).min(16));
-                job.not_before_ns = now_ns() + u64::try_from(wait.as_nanos()).unwrap_or(0);
+                job.not_before_ns = host_time_ns() + u64::try_from(wait.as_nanos()).unwrap_or(0);
                 if job.attempts >= self.config.attempts {
                     job.stage = Stage::SetAside;
                 }
@@ -217,7 +232,7 @@ impl Worker {
             }
         }
         if job.has_ended() {
-            job.ended_ns = now_ns();
+            job.ended_ns = host_time_ns();
         }
         self.state.job = None;
         self.keep(&job);
@@ -228,7 +243,7 @@ impl Worker {
         // Of a job that cannot be written nothing is lost: finished outputs are found again.
         if let Err(error) = job.store(&self.config.results) {
             tracing::warn!(session = job.session, "its state cannot be written: {error}");
-            self.sleep(TELL);
+            self.sleep(STATE_PERIOD);
         }
     }
 
@@ -248,7 +263,7 @@ impl Worker {
             }
         }
         if job.session_id.is_empty() {
-            *job = Job { began_ns: now_ns(), ..Job::default() };
+            *job = Job { began_ns: host_time_ns(), ..Job::default() };
         }
         (job.session, job.of) = (found.name.clone(), found.triggers);
         Ok(())
@@ -283,7 +298,7 @@ impl Worker {
         match self.task(job, vec!["verify".into(), session.into()]) {
             Ok(Ended::ByItself(Some(0 | 3))) => None,
             Ok(Ended::ByItself(Some(4))) => {
-                Some(Outcome::SetAside(format!("verify found it corrupt: {}", self.last_words(job))))
+                Some(Outcome::SetAside(format!("verify found it corrupt: {}", self.last_output(job))))
             }
             other => Some(self.outcome(job, other)),
         }
@@ -330,14 +345,14 @@ impl Worker {
             },
             Ok(Ended::ByItself(Some(code @ (2 | 4)))) => Outcome::SetAside(format!(
                 "reconstruct ended with exit code {code}: {}",
-                self.last_words(job)
+                self.last_output(job)
             )),
             other => self.outcome(job, other),
         }
     }
 
-    /// Whether the devices still stand where the session's calibration has them, for the history: said once, before the long work,
-    /// which does not depend on it.
+    /// Checks whether the devices still stand where the session's calibration has them, for the history: once, before
+    /// the long work, which does not depend on it.
     fn check(&mut self, job: &mut Job, calibration: &Path) -> Option<Interruption> {
         let own = self.config.results.join(OWN_DIR);
         let known = Calibration::load(calibration).map_err(|e| e.to_string());
@@ -362,14 +377,14 @@ impl Worker {
             Ok(Ended::Interrupted(interruption)) => Some(interruption),
             Ok(Ended::ByItself(Some(0 | 4))) => None,
             other => {
-                tracing::warn!(session = job.session, ?other, "not checked: {}", self.last_words(job));
+                tracing::warn!(session = job.session, ?other, "not checked: {}", self.last_output(job));
                 None
             }
         }
     }
 
-    /// The cameras of the session, in the calibration's order: of one node's recordings it has others. All of the session's must be
-    /// in it.
+    /// The cameras of the session, in the calibration's order: of one node's recordings it has others. All of the
+    /// session's must be in it.
     fn cameras(&self, calibration: &Path, session: &Path) -> Result<String, String> {
         use crate::data::FrameSource;
         let known = Calibration::load(calibration).map_err(|e| e.to_string())?;
@@ -391,13 +406,13 @@ impl Worker {
         Ok(both.join(","))
     }
 
-    fn outcome(&self, job: &Job, ended: std::io::Result<Ended>) -> Outcome {
+    fn outcome(&self, job: &Job, ended: std::io::Result<Ended<Interruption>>) -> Outcome {
         match ended {
             Ok(Ended::Interrupted(interruption)) => Outcome::Interrupted(interruption),
             Ok(Ended::ByItself(Some(code))) => {
-                Outcome::Failed(format!("exit code {code}: {}", self.last_words(job)))
+                Outcome::Failed(format!("exit code {code}: {}", self.last_output(job)))
             }
-            Ok(Ended::ByItself(None)) => Outcome::Failed(format!("killed: {}", self.last_words(job))),
+            Ok(Ended::ByItself(None)) => Outcome::Failed(format!("killed: {}", self.last_output(job))),
             Err(error) => Outcome::Failed(format!("cannot run a process: {error}")),
         }
     }
@@ -406,28 +421,28 @@ impl Worker {
         self.config.results.join(&job.session).join("log")
     }
 
-    fn last_words(&self, job: &Job) -> String {
-        task::last_words(&self.log(job))
+    fn last_output(&self, job: &Job) -> String {
+        task::last_output(&self.log(job))
     }
 
     /// Runs a process for this job, while telling how far it is.
-    fn task(&mut self, job: &mut Job, args: Vec<OsString>) -> std::io::Result<Ended> {
+    fn task(&mut self, job: &mut Job, args: Vec<OsString>) -> std::io::Result<Ended<Interruption>> {
         let log = self.log(job);
         let dir = self.config.results.join(&job.session);
         let output = self.config.output;
-        let mut told: Option<Duration> = None;
+        let mut shown: Option<Duration> = None;
         task::run(args, &log, |elapsed| {
             if let Some(interruption) = self.interruption() {
                 return Some(interruption);
             }
-            if told.is_none_or(|told| elapsed - told >= TELL) {
-                told = Some(elapsed);
+            if shown.is_none_or(|shown| elapsed - shown >= STATE_PERIOD) {
+                shown = Some(elapsed);
                 if let Some(obstacle) = self.obstacle() {
                     return Some(obstacle);
                 }
                 job.done = frame_sets(&dir, output).min(job.of);
                 self.state.job = Some(job.clone());
-                self.say(Activity::Working, None);
+                self.publish(Activity::Working, None);
             }
             None
         })
@@ -442,8 +457,8 @@ fn keep_calibration(from: &Path, to: &Path) -> Result<(), String> {
     write_whole(to, |file| file.write_all(&text)).map_err(|e| format!("{}: {e}", to.display()))
 }
 
-/// What was made of the session with another calibration, algorithm or output is put aside, so that results are of one kind; nothing is
-/// deleted.
+/// What was made of the session with another calibration, algorithm or output is put aside, so that results are of one
+/// kind; nothing is deleted.
 fn earlier_apart(dir: &Path, calibration: &Path, output: Output) -> Result<(), String> {
     let Some(key) = Key::load(dir)? else { return Ok(()) };
     let wanted = Calibration::load(calibration).map_err(|e| e.to_string())?;
@@ -484,7 +499,7 @@ fn frame_sets(dir: &Path, output: Output) -> u64 {
     names.filter_map(|name| index(&name)).collect::<BTreeSet<u64>>().len() as u64
 }
 
-/// What the summary says of a session that is done.
+/// Takes the figures of a finished session from its summary.
 fn summarize(job: &mut Job, dir: &Path) -> Result<(), String> {
     let summary = collect_shards::load_summary(dir)?;
     if summary.session.id != job.session_id {
@@ -503,7 +518,7 @@ fn summarize(job: &mut Job, dir: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// The sessions that somebody wants before the others.
+/// The sessions that a person has put before the others.
 fn asked_first(results: &Path) -> Vec<String> {
     let text = regular::read_text(&results.join(OWN_DIR).join("first"), regular::TEXT_BYTES);
     let text = text.unwrap_or_default();

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whether what an archive has of a recording is a second copy: other files, with the same bytes, which were read there.
+//! Whether what an archive has of a recording is a second copy: other files, with the same bytes, which were read
+//! there.
 //!
 //! A copy that is the recording itself under another name dies with it: a link, the same directory mounted at two
-//! places, the same export of a server under two paths. Device and inode tell most of them. A server's export may have
-//! another device number at each place; there a file that is made in the recording's directory is looked for beside the
-//! copy. What holds of two files is asked again of the same open files just before the recording is deleted.
+//! places, the same export of a server under two paths. Device and inode show most of them. A server's export may have
+//! another device number at each place; there a file that is made in the recording's directory is looked for beside
+//! the copy. The same open files are checked again just before the recording is deleted.
 
 use crate::base::{ids::printable, regular};
 use std::collections::BTreeMap;
@@ -15,10 +16,10 @@ use std::os::fd::AsRawFd;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-/// Read at a time while comparing, bytes.
+/// Bytes that are read at a time while comparing.
 const BLOCK: usize = 1 << 20;
 
-/// How files begin that are made to be looked for; one that a killed process has left belongs to nobody.
+/// First characters of the probe files' names; one that a killed process left behind may be removed.
 const PROBE: &str = ".prune-probe-";
 
 /// A recording and its copy, file by file.
@@ -78,7 +79,8 @@ impl Held {
 }
 
 impl SecondCopy {
-    /// Opens the files of a recording and of its copy, which are others of the same lengths. Their bytes are not compared.
+    /// Opens the files of a recording and of its copy, which are others of the same lengths. Their bytes are not
+    /// compared.
     ///
     /// # Errors
     /// What is no second copy, and why.
@@ -120,8 +122,8 @@ impl SecondCopy {
         Ok(())
     }
 
-    /// Deletes the recording, whose copy was compared, and which goes out of sight as `aside` first. Nothing is deleted where
-    /// either is not what was compared any more.
+    /// Deletes the recording, whose copy was compared, and which goes out of sight as `aside` first. Nothing is
+    /// deleted where either is not what was compared any more.
     ///
     /// # Errors
     /// What has changed, or what the system reports. Where nothing was deleted, the recording stands where it stood.
@@ -171,7 +173,7 @@ impl SecondCopy {
     fn look_for_a_probe(&self) -> Result<(), String> {
         let failed = |e: io::Error| {
             format!(
-                "{}: it cannot be told from its copy without writing there: {e}",
+                "{}: without writing there it cannot be distinguished from its copy: {e}",
                 self.recording.display()
             )
         };
@@ -204,8 +206,8 @@ fn is_same(own: &Held, other: &Held) -> bool {
 
 fn same_file(copy: &Path) -> String {
     format!(
-        "{} is no second copy: it is the recording's own file under another name (a link, or a directory that is mounted \
-         twice); copy the bytes to another place",
+        "{} is no second copy: it is the recording's own file under another name (a link, or a directory that is \
+         mounted twice); copy the bytes to another place",
         copy.display()
     )
 }
@@ -248,8 +250,8 @@ fn from_medium(file: &File) -> io::Result<()> {
         }
         _ => {}
     }
-    // SAFETY: the descriptor is open for the duration of the call, which changes nothing that the file holds. It is a wish: a
-    // file system that does not know it reads as ever.
+    // SAFETY: the descriptor is open for the duration of the call, which changes nothing that the file holds. It is a
+    // wish: a file system that does not know it reads as ever.
     unsafe { libc::posix_fadvise(file.as_raw_fd(), 0, 0, libc::POSIX_FADV_DONTNEED) };
     Ok(())
 }

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the worker writes down: what has become of each session, and what it does now.
 
+use crate::base::time::host_time_ns;
 use crate::base::{json, regular, write_whole, write_whole_cached};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Where the worker keeps what is its own, inside the results' directory.
+/// The worker's own directory, inside the results' directory.
 pub const OWN_DIR: &str = ".worker";
 
 /// How far a session is.
@@ -21,9 +21,9 @@ pub enum Stage {
     Verifying,
     /// They are verified; clouds are being made.
     Reconstructing,
-    /// Everything is there.
+    /// All clouds of the session are made.
     Done,
-    /// It is not tried again unless somebody asks for it.
+    /// It is not tried again unless a person requests it.
     SetAside,
 }
 
@@ -31,17 +31,17 @@ pub enum Stage {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(default)]
 pub struct Job {
-    /// The session's name.
+    /// The name of the session.
     pub session: String,
     /// The id that its recordings share.
     pub session_id: String,
-    /// How far it is.
+    /// The step that the session has reached.
     pub stage: Stage,
     /// Frame sets that are ready.
     pub done: u64,
-    /// Of so many.
+    /// Frame sets of the whole session.
     pub of: u64,
-    /// Failures so far.
+    /// Number of failed attempts so far.
     pub attempts: u32,
     /// Why the last attempt failed, or why it was set aside.
     pub reason: Option<String>,
@@ -70,7 +70,7 @@ impl Job {
         matches!(self.stage, Stage::Done | Stage::SetAside)
     }
 
-    /// Where it is kept.
+    /// The file in which a session's job is stored.
     pub fn path(results: &Path, session: &str) -> PathBuf {
         results.join(session).join("job.json")
     }
@@ -80,27 +80,27 @@ impl Job {
         load(&Self::path(results, session))
     }
 
-    /// Keeps it.
+    /// Writes the job to its file, whole or not at all.
     pub fn store(&self, results: &Path) -> io::Result<()> {
         let text = serde_json::to_string_pretty(self)?;
         write_whole(&Self::path(results, &self.session), |file| file.write_all(text.as_bytes()))
     }
 }
 
-/// What the worker does.
+/// What the worker is doing now.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Activity {
     /// There is nothing to do.
     #[default]
     Idle,
-    /// On a session.
+    /// It works on a session.
     Working,
     /// A node is in a session.
     GivesWay,
-    /// For something that is not a session's fault; `reason` says what.
+    /// It waits for something that is not a session's fault; `reason` names it.
     Waiting,
-    /// It has ended.
+    /// The worker's process has ended.
     Ended,
 }
 
@@ -108,7 +108,7 @@ pub enum Activity {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(default)]
 pub struct WorkerState {
-    /// In one word.
+    /// What the worker is doing, in one word.
     pub activity: Activity,
     /// What it waits for, or gives way to.
     pub reason: Option<String>,
@@ -118,7 +118,7 @@ pub struct WorkerState {
     pub queued: Vec<String>,
     /// Sessions that cannot yet, each with the reason.
     pub not_yet: Vec<(String, String)>,
-    /// Sessions that are done.
+    /// Number of sessions whose clouds are complete.
     pub done: u64,
     /// Sessions that were set aside, each with the reason.
     pub set_aside: Vec<(String, String)>,
@@ -127,25 +127,30 @@ pub struct WorkerState {
 }
 
 impl WorkerState {
-    /// What the worker of this results' directory said last.
+    /// The last state of the worker of this results' directory.
     pub fn load(results: &Path) -> Option<Self> {
         load(&results.join(OWN_DIR).join("state.json"))
     }
 
-    /// Says it.
+    /// Writes the state for the node and for `fourdbody worker --status`.
     pub fn store(&self, results: &Path) -> io::Result<()> {
         let text = serde_json::to_string_pretty(self)?;
-        // It is written every second, and nobody asks for it after a power cut.
+        // It is written every second, and is of no use after a power cut.
         write_whole_cached(&results.join(OWN_DIR).join("state.json"), |file| file.write_all(text.as_bytes()))
     }
 
     /// Whether the worker that wrote this is gone: it writes every two seconds at least.
     pub fn is_stale(&self) -> bool {
         const SILENT_NS: u64 = 15_000_000_000;
-        self.activity != Activity::Ended && now_ns().saturating_sub(self.written_ns) > SILENT_NS
+        self.activity != Activity::Ended && host_time_ns().saturating_sub(self.written_ns) > SILENT_NS
     }
 
-    /// For people.
+    /// Whether the worker that wrote this is still there.
+    pub fn is_running(&self) -> bool {
+        self.activity != Activity::Ended && !self.is_stale()
+    }
+
+    /// The state as one line, for the console and `status`.
     pub fn line(&self) -> String {
         let job = self.job.as_ref().map_or_else(String::new, |job| {
             let what = match job.stage {
@@ -156,11 +161,11 @@ impl WorkerState {
         });
         let reason = self.reason.as_ref().map_or_else(String::new, |reason| format!(" ({reason})"));
         let activity = match self.activity {
-            _ if self.is_stale() => "not running any more; systemctl status fourdbody-worker".to_owned(),
+            _ if self.is_stale() => "stopped; see systemctl status fourdbody-worker".to_owned(),
             Activity::Idle => "nothing to do".to_owned(),
-            Activity::Working => format!("at work on{job}"),
-            Activity::GivesWay => format!("gives way to a capture{reason}{job}"),
-            Activity::Waiting => format!("waits{reason}{job}"),
+            Activity::Working => format!("working on{job}"),
+            Activity::GivesWay => format!("paused while a node records{reason}{job}"),
+            Activity::Waiting => format!("waiting{reason}{job}"),
             Activity::Ended => "not running".to_owned(),
         };
         let (queued, done, aside) = (self.queued.len(), self.done, self.set_aside.len());
@@ -169,12 +174,6 @@ impl WorkerState {
             self.not_yet.len()
         )
     }
-}
-
-/// Now, host clock, ns.
-pub fn now_ns() -> u64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(now.as_nanos()).unwrap_or(u64::MAX)
 }
 
 fn load<T: serde::de::DeserializeOwned>(path: &Path) -> Option<T> {

@@ -2,7 +2,7 @@
 //! What the worker of a node's machine does, for the node's status.
 
 use super::done::{Done, DoneSessions};
-use super::state::{Activity, OWN_DIR, WorkerState};
+use super::state::{OWN_DIR, WorkerState};
 use crate::calibrate::drift::history::{self, Checked, LINES, PLOT, Verdict};
 use crate::control::status::{
     CalibrationLight, CalibrationLights, PlayableTake, PlayableTakes, SessionLight,
@@ -11,13 +11,13 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, Weak};
 use std::time::{Duration, SystemTime};
 
-/// How often the worker's files are looked at.
+/// Time between two reads of the worker's files.
 const POLL: Duration = Duration::from_secs(1);
-/// Between two looks at all results, in those.
+/// Number of these reads from one look at all results to the next.
 const LOOKS_APART: u32 = 3;
 
-/// A thread that reads the worker's files: the disk or share where they are may take its time, and nothing must wait for it. It
-/// ends when this is dropped.
+/// A thread that reads the worker's files: the disk or share where they are may take its time, and nothing must wait
+/// for it. It ends when this is dropped.
 #[derive(Debug, Default)]
 pub struct WorkerWatch {
     results: Option<PathBuf>,
@@ -31,6 +31,13 @@ struct Seen {
     done: Arc<DoneSessions>,
     /// Of the history's lines: read again when they are others.
     written: Option<(SystemTime, u64)>,
+}
+
+impl Seen {
+    /// The sessions that the worker cannot work on, each with the reason.
+    fn waiting(&self) -> impl Iterator<Item = &(String, String)> {
+        self.state.iter().flat_map(|state| state.set_aside.iter().chain(&state.not_yet))
+    }
 }
 
 impl WorkerWatch {
@@ -82,18 +89,14 @@ impl WorkerWatch {
             session_id: Some(done.session_id.clone()),
             why_not: None,
         });
-        let state = seen.state.as_ref();
-        let waiting = state.into_iter().flat_map(|state| state.set_aside.iter().chain(&state.not_yet));
-        let not = waiting.map(|(session, reason)| PlayableTake {
+        let not = seen.waiting().map(|(session, reason)| PlayableTake {
             session: session.clone(),
             session_id: None,
             why_not: Some(format!("not reconstructed: {reason}")),
         });
-        let otherwise = match state {
-            Some(state) if !state.is_stale() && state.activity != Activity::Ended => {
-                "not reconstructed yet: the worker comes to it when no node is in a session"
-            }
-            _ => "not reconstructed: the worker is not running",
+        let otherwise = match seen.state.as_ref().is_some_and(WorkerState::is_running) {
+            true => "not reconstructed yet: the worker does it when no node is in a session",
+            false => "not reconstructed: the worker is not running",
         };
         PlayableTakes {
             worker: self.results.is_some(),
@@ -102,7 +105,8 @@ impl WorkerWatch {
         }
     }
 
-    /// What it has found of the calibration, session by session, the last so many; and why nothing is known of the others.
+    /// The results of the calibration checks, for at most the last `most` sessions; and why there are none of the
+    /// others.
     pub fn lights(&self, most: usize) -> CalibrationLights {
         let seen = self.seen();
         let checked = seen.history.iter().rev().take(most).map(|one| SessionLight {
@@ -115,23 +119,19 @@ impl WorkerWatch {
             session: session.clone(),
             session_id: None,
             light: CalibrationLight::Grey,
-            said: format!("not looked at: {reason}"),
+            said: format!("not checked: {reason}"),
         };
-        let state = seen.state.as_ref();
-        let waiting = state.into_iter().flat_map(|state| state.set_aside.iter().chain(&state.not_yet));
-        let otherwise = match (&self.results, state) {
-            (None, _) => "nobody looks: this node's file names no worker ([worker])".to_owned(),
+        let otherwise = match (&self.results, &seen.state) {
+            (None, _) => "not checked: this node's file names no worker ([worker])".to_owned(),
             (Some(results), None) => {
-                format!("nobody has looked: no worker has been at work on {}", results.display())
+                format!("not checked: no worker has run on {}", results.display())
             }
-            (_, Some(state)) if state.is_stale() || state.activity == Activity::Ended => {
-                "not looked at: the worker is not running".to_owned()
+            (_, Some(state)) if state.is_running() => {
+                "not checked yet: the worker does it when no node is in a session".to_owned()
             }
-            (_, Some(_)) => {
-                "not looked at yet: the worker comes to it when no node is in a session".to_owned()
-            }
+            (_, Some(_)) => "not checked: the worker is not running".to_owned(),
         };
-        let sessions = checked.chain(waiting.take(most).map(unknown)).collect();
+        let sessions = checked.chain(seen.waiting().take(most).map(unknown)).collect();
         CalibrationLights { worker: self.results.is_some(), sessions, otherwise }
     }
 }

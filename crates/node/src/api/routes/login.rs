@@ -37,7 +37,7 @@ async fn challenge(Extension(standing): Extension<Standing>) -> Json<Challenge> 
 /// Exchanges a token for a cookie (HttpOnly, SameSite=Strict), for browsers.
 #[utoipa::path(post, path = path::LOGIN, tag = "login", request_body = Login, responses(
     (status = 200, description = "Logged in; the cookie is set.", body = Identity),
-    (status = 409, description = "This node has no tokens: nobody needs to log in.", body = Fault),
+    (status = 409, description = "This node has no tokens: no login is needed.", body = Fault),
 ))]
 async fn login(
     State(shared): State<Shared>,
@@ -45,7 +45,7 @@ async fn login(
     Body(Login { token }): Body<Login>,
 ) -> Result<Response, Refusal> {
     if !shared.auth.has_tokens() {
-        let message = "this node has no tokens (api.tokens): nobody needs to log in";
+        let message = "this node has no tokens (api.tokens): no login is needed";
         return Err(Refusal::new(StatusCode::CONFLICT, message));
     }
     let Some((name, role)) = shared.auth.bearer(token.trim()) else {
@@ -81,7 +81,8 @@ async fn logout(State(shared): State<Shared>, headers: HeaderMap, _: NoBody) -> 
 }
 
 /// Who the node takes the caller for.
-#[utoipa::path(get, path = path::IDENTITY, tag = "login", responses((status = 200, description = "The caller.", body = Identity)))]
+#[utoipa::path(get, path = path::IDENTITY, tag = "login",
+    responses((status = 200, description = "The caller.", body = Identity)))]
 async fn identity(caller: Caller) -> Json<Identity> {
     Json(Identity { name: caller.name, role: caller.role, via: caller.via })
 }

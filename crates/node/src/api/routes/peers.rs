@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the other nodes tell, passed on: a browser may only talk to the node that its page came from.
+//! Answers of the other nodes, passed on: a browser may only talk to the node that its page came from.
 
-use super::sessions::Choice;
 use crate::api::body::{Body, NoBody};
 use crate::api::refusal::Refusal;
 use crate::api::services::Peer;
@@ -11,47 +10,85 @@ use crate::control::request::ExposureRequest;
 use crate::control::status::{PeerState, path};
 use crate::record::remark::Remark;
 use axum::Json;
-use axum::extract::{Path, Query, State};
-use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::extract::{Path, RawQuery, State};
+use axum::http::{HeaderMap, Method, header};
 use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use serde::Serialize;
+use std::collections::BTreeMap;
 use std::time::Duration;
+use utoipa::openapi::{OpenApi, RefOr};
+use utoipa::{IntoParams, IntoResponses};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+/// Longest time that a peer may take to answer; a console sends its next request sooner than this.
+const PATIENCE: Duration = Duration::from_secs(3);
+/// The same for settings: some cameras take seconds to be set up.
+const CAMERAS_PATIENCE: Duration = Duration::from_secs(30);
+/// The same for frame sets, which are made at idle priority.
+const PLAY_PATIENCE: Duration = Duration::from_secs(65);
+
+/// What can be read of another node: the paths of its own API, each with the time that its answer may take.
+const READABLE: [(&str, Duration); 10] = [
+    (path::PREVIEWS, PATIENCE),
+    (path::PICTURE, PATIENCE),
+    (path::SESSIONS, PATIENCE),
+    (path::QUICK_LOOK, PATIENCE),
+    (path::QUICK_LOOK_CLOUD, PATIENCE),
+    (path::CALIBRATION_LIGHTS, PATIENCE),
+    (path::CALIBRATION_PLOT, PATIENCE),
+    (path::PLAYABLE, PATIENCE),
+    (path::FRAME_SETS, PLAY_PATIENCE),
+    (path::FRAME_SET, PLAY_PATIENCE),
+];
+
+/// The variable parts of a path by their names.
+type Parts = Path<BTreeMap<String, String>>;
+
 pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
-    OpenApiRouter::new()
+    let described = OpenApiRouter::new()
         .routes(routes!(get_peers))
-        .routes(routes!(get_previews))
-        .routes(routes!(get_picture))
-        .routes(routes!(get_sessions))
         .routes(routes!(remark))
-        .routes(routes!(get_quick_look, ask_quick_look))
-        .routes(routes!(get_cloud))
-        .routes(routes!(get_calibration_lights))
-        .routes(routes!(get_calibration_plot))
-        .routes(routes!(get_playable))
-        .routes(routes!(get_frame_sets))
-        .routes(routes!(get_frame_set))
         .routes(routes!(expose))
+        .routes(routes!(ask_quick_look));
+    READABLE.into_iter().fold(described, |router, (own, patience)| {
+        let answer = async move |State(shared): State<Shared>, parts: Parts, RawQuery(query): RawQuery| {
+            let wanted = query.map_or_else(|| own.to_owned(), |query| format!("{own}?{query}"));
+            pass_on(&shared, &parts, (Method::GET, &wanted, None), patience).await
+        };
+        router.route(&of_peer(own), get(answer))
+    })
 }
 
-/// A console asks again sooner than this.
-const PATIENCE: Duration = Duration::from_secs(3);
-/// Some cameras take seconds to be set up.
-const CAMERAS_PATIENCE: Duration = Duration::from_secs(30);
-/// Frame sets are made when nobody else wants the processor.
-const PLAY_PATIENCE: Duration = Duration::from_secs(65);
+fn of_peer(own: &str) -> String {
+    own.replacen("/api/v1", "/api/v1/peers/{peer}", 1)
+}
+
+/// Describes the paths that are passed on, from the description of each node's own.
+pub(in crate::api) fn describe(api: &mut OpenApi) {
+    for (own, _) in READABLE {
+        let Some(mut operation) = api.paths.paths.get(own).and_then(|item| item.get.clone()) else {
+            continue;
+        };
+        operation.tags = Some(vec!["peers".to_owned()]);
+        operation.operation_id = operation.operation_id.map(|id| format!("{id}_of_peer"));
+        operation.summary = Some(format!("The answer of another node to GET {own}, passed on."));
+        let peer = PeerName::into_params(|| None).into_iter().map(RefOr::T);
+        operation.parameters.get_or_insert_default().extend(peer);
+        operation.responses.responses = PassedOn::responses();
+        api.paths.paths.entry(of_peer(own)).or_default().get = Some(operation);
+    }
+}
 
 /// The other nodes, and whether they answer.
 #[utoipa::path(get, path = path::PEERS, tag = "peers",
     responses((status = 200, description = "One entry a node.", body = Vec<PeerState>)))]
 async fn get_peers(State(shared): State<Shared>) -> Json<Vec<PeerState>> {
-    let mut asked = Vec::new();
-    for peer in shared.services.peers.iter().cloned() {
-        asked.push(tokio::spawn(state_of(peer)));
-    }
+    let requested: Vec<_> =
+        shared.services.peers.iter().map(|peer| tokio::spawn(state_of(peer.clone()))).collect();
     let mut states = Vec::new();
-    for state in asked {
+    for state in requested {
         states.extend(state.await.ok());
     }
     Json(states)
@@ -59,57 +96,30 @@ async fn get_peers(State(shared): State<Shared>) -> Json<Vec<PeerState>> {
 
 async fn state_of(peer: Peer) -> PeerState {
     let answer = peer.client.ask_async(Method::GET, path::STATUS, None, PATIENCE).await;
+    let status = match answer {
+        Ok(answer) if answer.status.is_success() => {
+            json::from_slice(&answer.body).map_err(|e| format!("its answer is not understood: {e}"))
+        }
+        Ok(answer) => Err(format!("it answered {}", answer.status)),
+        Err(fault) => Err(fault.message),
+    };
     let url = peer.client.url().to_owned();
-    let (status, problem) = match answer {
-        Ok(answer) if answer.status.is_success() => match json::from_slice(&answer.body) {
-            Ok(status) => (Some(status), None),
-            Err(e) => (None, Some(format!("its answer is not understood: {e}"))),
-        },
-        Ok(answer) => (None, Some(format!("it answered {}", answer.status))),
-        Err(fault) => (None, Some(fault.message)),
+    let (status, problem) = match status {
+        Ok(status) => (Some(status), None),
+        Err(problem) => (None, Some(problem)),
     };
     PeerState { name: peer.name, url, status, problem }
 }
 
-/// What another node tells of its cameras' pictures.
-#[utoipa::path(get, path = path::PEER_PREVIEWS, tag = "peers", params(PeerName), responses(PassedOn))]
-async fn get_previews(State(shared): State<Shared>, Path(peer): Path<String>) -> Result<Response, Refusal> {
-    ask(&shared, &peer, Method::GET, path::PREVIEWS).await
-}
-
-/// A picture of another node's camera.
-#[utoipa::path(get, path = path::PEER_PICTURE, tag = "peers",
-    params(PeerName, ("camera" = String, Path, description = "Its name in the rig.")), responses(PassedOn))]
-async fn get_picture(
-    State(shared): State<Shared>,
-    Path((peer, camera)): Path<(String, String)>,
-) -> Result<Response, Refusal> {
-    let wanted = path::PICTURE.replace("{camera}", plain(&camera)?);
-    ask(&shared, &peer, Method::GET, &wanted).await
-}
-
-/// What another node has recorded.
-#[utoipa::path(get, path = path::PEER_SESSIONS, tag = "peers", params(PeerName, Choice), responses(PassedOn))]
-async fn get_sessions(
-    State(shared): State<Shared>,
-    Path(peer): Path<String>,
-    Query(choice): Query<Choice>,
-) -> Result<Response, Refusal> {
-    let wanted = format!("{}?limit={}&search={}", path::SESSIONS, choice.limit, encoded(&choice.search));
-    ask(&shared, &peer, Method::GET, &wanted).await
-}
-
-/// Keeps what somebody thinks of another node's recording.
+/// Stores a rating and a note beside another node's recording.
 #[utoipa::path(post, path = path::PEER_REMARK, tag = "peers", params(PeerName, SessionName), request_body = Remark,
     responses(PassedOn))]
 async fn remark(
     State(shared): State<Shared>,
-    Path((peer, name)): Path<(String, String)>,
+    parts: Parts,
     Body(remark): Body<Remark>,
 ) -> Result<Response, Refusal> {
-    let wanted = path::REMARK.replace("{name}", plain(&name)?);
-    let body = serde_json::to_vec(&remark).map_err(|e| Fault::new(Exit::Failure, e))?;
-    tell(&shared, &peer, Method::POST, &wanted, Some(body)).await
+    pass_on(&shared, &parts, (Method::POST, path::REMARK, Some(encoded(&remark)?)), PATIENCE).await
 }
 
 /// Sets exposure and gain of another node's cameras.
@@ -117,94 +127,21 @@ async fn remark(
     responses(PassedOn))]
 async fn expose(
     State(shared): State<Shared>,
-    Path(peer): Path<String>,
+    parts: Parts,
     caller: Caller,
     Body(mut request): Body<ExposureRequest>,
 ) -> Result<Response, Refusal> {
     request.on_behalf_of.get_or_insert(caller.name);
-    let body = serde_json::to_vec(&request).map_err(|e| Fault::new(Exit::Failure, e))?;
-    let asked = (Method::POST, path::EXPOSURE, Some(body));
-    pass_on(&shared, &peer, asked, CAMERAS_PATIENCE).await
+    let post = (Method::POST, path::EXPOSURE, Some(encoded(&request)?));
+    pass_on(&shared, &parts, post, CAMERAS_PATIENCE).await
 }
 
-/// How far another node's look at a session is.
-#[utoipa::path(get, path = path::PEER_QUICK_LOOK, tag = "peers", params(PeerName, SessionName), responses(PassedOn))]
-async fn get_quick_look(
-    State(shared): State<Shared>,
-    Path((peer, name)): Path<(String, String)>,
-) -> Result<Response, Refusal> {
-    let wanted = path::QUICK_LOOK.replace("{name}", plain(&name)?);
-    ask(&shared, &peer, Method::GET, &wanted).await
-}
-
-/// Asks another node for a quick look at a session.
+/// Requests a quick look at a session from another node.
 #[utoipa::path(post, path = path::PEER_QUICK_LOOK, tag = "peers", params(PeerName, SessionName), responses(PassedOn))]
-async fn ask_quick_look(
-    State(shared): State<Shared>,
-    Path((peer, name)): Path<(String, String)>,
-    _: NoBody,
-) -> Result<Response, Refusal> {
-    let wanted = path::QUICK_LOOK.replace("{name}", plain(&name)?);
-    ask(&shared, &peer, Method::POST, &wanted).await
+async fn ask_quick_look(State(shared): State<Shared>, parts: Parts, _: NoBody) -> Result<Response, Refusal> {
+    pass_on(&shared, &parts, (Method::POST, path::QUICK_LOOK, None), PATIENCE).await
 }
 
-/// A cloud of another node's look.
-#[utoipa::path(get, path = path::PEER_QUICK_LOOK_CLOUD, tag = "peers",
-    params(PeerName, SessionName, ("trigger" = u64, Path, description = "The frame set.")), responses(PassedOn))]
-async fn get_cloud(
-    State(shared): State<Shared>,
-    Path((peer, name, trigger)): Path<(String, String, u64)>,
-) -> Result<Response, Refusal> {
-    let wanted = path::QUICK_LOOK_CLOUD.replace("{name}", plain(&name)?);
-    ask(&shared, &peer, Method::GET, &wanted.replace("{trigger}", &trigger.to_string())).await
-}
-
-/// What another node's worker has found of the calibration.
-#[utoipa::path(get, path = path::PEER_CALIBRATION_LIGHTS, tag = "peers", params(PeerName), responses(PassedOn))]
-async fn get_calibration_lights(
-    State(shared): State<Shared>,
-    Path(peer): Path<String>,
-) -> Result<Response, Refusal> {
-    ask(&shared, &peer, Method::GET, path::CALIBRATION_LIGHTS).await
-}
-
-/// The plot of another node's worker.
-#[utoipa::path(get, path = path::PEER_CALIBRATION_PLOT, tag = "peers", params(PeerName), responses(PassedOn))]
-async fn get_calibration_plot(
-    State(shared): State<Shared>,
-    Path(peer): Path<String>,
-) -> Result<Response, Refusal> {
-    ask(&shared, &peer, Method::GET, path::CALIBRATION_PLOT).await
-}
-
-/// What another node's worker has reconstructed.
-#[utoipa::path(get, path = path::PEER_PLAYABLE, tag = "peers", params(PeerName), responses(PassedOn))]
-async fn get_playable(State(shared): State<Shared>, Path(peer): Path<String>) -> Result<Response, Refusal> {
-    ask(&shared, &peer, Method::GET, path::PLAYABLE).await
-}
-
-/// What a player must know of a session that another node's worker has reconstructed.
-#[utoipa::path(get, path = path::PEER_FRAME_SETS, tag = "peers", params(PeerName, SessionName), responses(PassedOn))]
-async fn get_frame_sets(
-    State(shared): State<Shared>,
-    Path((peer, name)): Path<(String, String)>,
-) -> Result<Response, Refusal> {
-    let wanted = path::FRAME_SETS.replace("{name}", plain(&name)?);
-    pass_on(&shared, &peer, (Method::GET, &wanted, None), PLAY_PATIENCE).await
-}
-
-/// A frame set of a session that another node's worker has reconstructed.
-#[utoipa::path(get, path = path::PEER_FRAME_SET, tag = "peers",
-    params(PeerName, SessionName, ("trigger" = u64, Path, description = "The frame set.")), responses(PassedOn))]
-async fn get_frame_set(
-    State(shared): State<Shared>,
-    Path((peer, name, trigger)): Path<(String, String, u64)>,
-) -> Result<Response, Refusal> {
-    let wanted = path::FRAME_SET.replace("{name}", plain(&name)?).replace("{trigger}", &trigger.to_string());
-    pass_on(&shared, &peer, (Method::GET, &wanted, None), PLAY_PATIENCE).await
-}
-
-/// Parts of these paths.
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Path)]
 #[expect(dead_code, reason = "the description is made of it")]
@@ -217,15 +154,15 @@ struct PeerName {
 #[into_params(parameter_in = Path)]
 #[expect(dead_code, reason = "the description is made of it")]
 struct SessionName {
-    /// The session's name.
+    /// The session's name at that node.
     name: String,
 }
 
-/// What another node answered is passed on as it is.
+/// The answers of another node, which are passed on unchanged.
 #[derive(utoipa::IntoResponses)]
 #[expect(dead_code, reason = "the description is made of it")]
 enum PassedOn {
-    /// What the other node answered.
+    /// The answer of the other node.
     #[response(status = 200)]
     Shown,
     /// The other node makes it, or has made it.
@@ -234,13 +171,13 @@ enum PassedOn {
     /// The other node has nothing to show yet.
     #[response(status = 204)]
     Nothing,
-    /// What the path says is not well-formed.
+    /// The path or the query is not well-formed.
     #[response(status = 400)]
     Malformed,
     /// No such node, or nothing of this name there.
     #[response(status = 404)]
     NotFound(Fault),
-    /// What the other node said to it.
+    /// The other node refuses it, with its reason.
     #[response(status = 409)]
     Conflict(Fault),
     /// The other node failed at it.
@@ -251,61 +188,58 @@ enum PassedOn {
     Unavailable(Fault),
 }
 
-async fn ask(shared: &Shared, peer: &str, method: Method, wanted: &str) -> Result<Response, Refusal> {
-    tell(shared, peer, method, wanted, None).await
+fn encoded(body: &impl Serialize) -> Result<Vec<u8>, Refusal> {
+    Ok(serde_json::to_vec(body).map_err(|e| Fault::new(Exit::Failure, e))?)
 }
 
-async fn tell(
-    shared: &Shared,
-    peer: &str,
-    method: Method,
-    wanted: &str,
-    body: Option<Vec<u8>>,
-) -> Result<Response, Refusal> {
-    pass_on(shared, peer, (method, wanted, body), PATIENCE).await
-}
-
+/// Sends a request to the node that the path names, with the other parts of the path filled in.
 async fn pass_on(
     shared: &Shared,
-    peer: &str,
-    (method, wanted, body): (Method, &str, Option<Vec<u8>>),
+    parts: &BTreeMap<String, String>,
+    (method, own, body): (Method, &str, Option<Vec<u8>>),
     patience: Duration,
 ) -> Result<Response, Refusal> {
+    let mut wanted = own.to_owned();
+    for (name, value) in parts {
+        wanted = wanted.replace(&format!("{{{name}}}"), plain(value)?);
+    }
+    let peer = parts.get("peer").map_or("", String::as_str);
     let known = shared.services.peers.iter().find(|known| known.name.as_str() == peer);
-    let known = known.ok_or_else(|| {
-        Refusal::new(StatusCode::NOT_FOUND, format!("no node {peer:?} among api.peers of the node file"))
-    })?;
-    let answer = known.client.ask_async(method, wanted, body, patience).await?;
+    let known = known
+        .ok_or_else(|| Refusal::not_found(format!("no node {peer:?} among api.peers of the node file")))?;
+    let answer = known.client.ask_async(method, &wanted, body, patience).await?;
     let mut headers = HeaderMap::new();
     headers.extend(answer.content_type.map(|kind| (header::CONTENT_TYPE, kind)));
     Ok((answer.status, headers, answer.body).into_response())
 }
 
-/// A text as a value of a query.
-fn encoded(text: &str) -> String {
-    let byte = |byte: u8| match byte.is_ascii_alphanumeric() {
-        true => char::from(byte).to_string(),
-        false => format!("%{byte:02X}"),
-    };
-    text.bytes().map(byte).collect()
-}
-
-/// A name that is one part of a path and leads nowhere else.
+/// Accepts a value that is one component of a path and cannot lead to another one.
 fn plain(name: &str) -> Result<&str, Refusal> {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
     match !name.is_empty() && !name.starts_with('.') && name.chars().all(is_plain) {
         true => Ok(name),
-        false => Err(Refusal::new(StatusCode::NOT_FOUND, format!("expected a name, found {name:?}"))),
+        false => Err(Refusal::not_found(format!("expected a name, found {name:?}"))),
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{encoded, plain};
+    use super::{READABLE, of_peer, plain};
 
     #[test]
-    fn a_search_is_one_value_of_a_query() {
-        assert_eq!(encoded("a&limit=1 ä"), "a%26limit%3D1%20%C3%A4");
+    fn what_is_passed_on_is_described_like_the_nodes_own() {
+        let api = crate::api::description();
+        for (own, _) in READABLE {
+            let of =
+                |path: &str| api.paths.paths.get(path).and_then(|item| item.get.clone()).expect("described");
+            let (own_parts, parts) = (of(own).parameters.unwrap_or_default(), of(&of_peer(own)).parameters);
+            assert_eq!(parts.expect("the peer's name").len(), own_parts.len() + 1, "{own}");
+        }
+        let post = |path: &str| api.paths.paths.get(path).is_some_and(|item| item.post.is_some());
+        assert!(
+            post("/api/v1/peers/{peer}/sessions/{name}/quick-look"),
+            "both methods of one path are described"
+        );
     }
 
     #[test]

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sessions that the worker of this node's machine has reconstructed, frame set by frame set, for a player.
 
+use super::bytes;
 use crate::api::Shared;
 use crate::api::refusal::Refusal;
 use crate::base::{Exit, Fault};
@@ -9,8 +10,7 @@ use crate::play::Described;
 use crate::play::desk::{Made, Wanted};
 use axum::Json;
 use axum::extract::{Path, State};
-use axum::http::{StatusCode, header};
-use axum::response::{IntoResponse, Response};
+use axum::response::Response;
 use tokio::sync::oneshot;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -30,7 +30,8 @@ async fn get_playable(State(shared): State<Shared>) -> Json<PlayableTakes> {
 }
 
 /// What a player must know before it asks for frame sets: which triggers have a cloud, and why others have none.
-#[utoipa::path(get, path = path::FRAME_SETS, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
+#[utoipa::path(get, path = path::FRAME_SETS, tag = "sessions",
+    params(("name" = String, Path, description = "The session's name.")),
     responses(
         (status = 200, description = "The session as a sequence.", body = Described),
         (status = 404, description = "No worker of this machine has reconstructed it.", body = Fault),
@@ -41,8 +42,8 @@ async fn get_frame_sets(State(shared): State<Shared>, Path(name): Path<String>) 
     made(&shared, &name, Wanted::Description, "application/json").await
 }
 
-/// One merged frame set: a zlib stream of twelve planes of bytes (low and high bytes of x, y and z in tenths of a millimetre, each
-/// the difference from the point before; three of the normal, intensity, camera, uncertainty).
+/// One merged frame set: a zlib stream of twelve planes of bytes (low and high bytes of x, y and z in tenths of a
+/// millimetre, each the difference from the point before; three of the normal, intensity, camera, uncertainty).
 #[utoipa::path(get, path = path::FRAME_SET, tag = "sessions",
     params(
         ("name" = String, Path, description = "The session's name."),
@@ -62,16 +63,14 @@ async fn get_frame_set(
 }
 
 async fn made(shared: &Shared, name: &str, wanted: Wanted, kind: &'static str) -> Result<Response, Refusal> {
-    // Of what the worker has done alone: no name that is asked for becomes a path.
-    let done = shared.services.worker.done(name).ok_or_else(|| {
-        let message = format!("no session {name:?} that a worker of this machine has reconstructed");
-        Refusal::new(StatusCode::NOT_FOUND, message)
-    })?;
+    // Only sessions that the worker has done: no requested name becomes a path.
+    let unknown =
+        || Refusal::not_found(format!("no session {name:?} that a worker of this machine has reconstructed"));
+    let done = shared.services.worker.done(name).ok_or_else(unknown)?;
     let (reply, answer) = oneshot::channel();
     shared.services.desk.ask(done, wanted, reply)?;
-    let gone = |_| Refusal::from(Fault::new(Exit::Device, "the node is shutting down"));
-    match answer.await.map_err(gone)?? {
-        Made::Bytes(bytes) => Ok(([(header::CONTENT_TYPE, kind)], bytes.as_ref().clone()).into_response()),
-        Made::Nothing(reason) => Err(Refusal::new(StatusCode::NOT_FOUND, reason)),
+    match answer.await.map_err(|_| Fault::new(Exit::Device, "the node is shutting down"))?? {
+        Made::Bytes(made) => Ok(bytes(kind, made.as_ref().clone())),
+        Made::Nothing(reason) => Err(Refusal::not_found(reason)),
     }
 }

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What this node has recorded, and quick looks at it.
 
+use super::{Done, bytes};
 use crate::api::Shared;
 use crate::api::body::{Body, NoBody};
-use crate::api::listing::{Busy, LISTED_MAX, Told};
+use crate::api::listing::LISTED_MAX;
 use crate::api::refusal::Refusal;
 use crate::base::ids::SessionName;
 use crate::base::{Exit, Fault, regular};
@@ -14,9 +15,10 @@ use crate::record::node_dir;
 use crate::record::remark::Remark;
 use axum::Json;
 use axum::extract::{Path, Query, State};
-use axum::http::{StatusCode, header};
-use axum::response::{IntoResponse, Response};
+use axum::http::StatusCode;
+use axum::response::Response;
 use serde::Deserialize;
+use std::fmt::Display;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
@@ -32,20 +34,20 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(get_calibration_plot))
 }
 
-/// Which sessions.
+/// Which of the recordings are listed.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-pub(super) struct Choice {
-    /// The newest so many, 1 to 1000.
+struct Choice {
+    /// Length of the list, 1 to 1000: the newest recordings.
     #[serde(default = "fifty")]
     #[param(minimum = 1, maximum = 1000)]
-    pub(super) limit: usize,
+    limit: usize,
     /// Only those with this text in name, subject or notes, in small or capital letters.
     #[serde(default)]
-    pub(super) search: String,
+    search: String,
 }
 
-/// Sessions whose lights are told: as many as a console lists.
+/// Sessions in the answer with calibration lights: as many as a console lists.
 const LIGHTS_MAX: usize = 200;
 
 fn fifty() -> usize {
@@ -62,22 +64,25 @@ async fn get_sessions(
     State(shared): State<Shared>,
     Query(choice): Query<Choice>,
 ) -> Result<Response, Refusal> {
-    let listed = shared.services.listing.newest(choice.limit.clamp(1, LISTED_MAX), &choice.search).await;
-    told(listed)?.ok_or_else(|| Refusal::new(StatusCode::NOT_FOUND, "no sessions"))
+    let listed = shared.services.listing.newest(choice.limit.clamp(1, LISTED_MAX), &choice.search).await?;
+    Ok(bytes("application/json", listed))
 }
 
-/// One recording.
-#[utoipa::path(get, path = path::SESSION, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
+/// One recording of this node.
+#[utoipa::path(get, path = path::SESSION, tag = "sessions",
+    params(("name" = String, Path, description = "The session's name.")),
     responses(
         (status = 200, description = "The recording.", body = CatalogueEntry),
         (status = 404, description = "This node has no such session.", body = Fault),
         (status = 503, description = "Too many ask at the same time.", body = Fault)))]
 async fn get_session(State(shared): State<Shared>, Path(name): Path<String>) -> Result<Response, Refusal> {
-    told(shared.services.listing.one(name.clone()).await)?.ok_or_else(|| not_found(&name))
+    let found = shared.services.listing.one(name.clone()).await?;
+    Ok(bytes("application/json", found.ok_or_else(|| not_found(&name))?))
 }
 
 /// This name, or the first number after it under which nothing is recorded here: `walk`, `walk-02`, and so on.
-#[utoipa::path(get, path = path::FREE_NAME, tag = "sessions", params(("name" = String, Path, description = "The name that is wanted.")),
+#[utoipa::path(get, path = path::FREE_NAME, tag = "sessions",
+    params(("name" = String, Path, description = "The name that is wanted.")),
     responses(
         (status = 200, description = "A free name.", body = FreeName),
         (status = 409, description = "No session can have this name, or all its numbers are taken.", body = Fault),
@@ -86,13 +91,11 @@ async fn get_free_name(
     State(shared): State<Shared>,
     Path(wanted): Path<String>,
 ) -> Result<Json<FreeName>, Refusal> {
-    let free = shared.services.listing.free(wanted).await;
-    let free = free.map_err(|busy| Refusal::from(Fault::new(Exit::Device, busy)))?;
-    let name = free.map_err(|reason| Refusal::from(Fault::new(Exit::Usage, reason)))?;
+    let name = shared.services.listing.free(wanted).await?.map_err(|e| Fault::new(Exit::Usage, e))?;
     Ok(Json(FreeName { name }))
 }
 
-/// Keeps what somebody thinks of a recording, beside it: a rating and a note. What was kept before gives way.
+/// Stores a rating and a note beside a recording. Those that were stored before are replaced.
 #[utoipa::path(post, path = path::REMARK, tag = "sessions", request_body = Remark,
     params(("name" = String, Path, description = "The session's name.")),
     responses(
@@ -100,12 +103,8 @@ async fn get_free_name(
         (status = 404, description = "This node has no such session.", body = Fault),
         (status = 409, description = "The note is no line of printable text.", body = Fault),
         (status = 500, description = "It cannot be written.", body = Fault)))]
-async fn remark(
-    State(shared): State<Shared>,
-    Path(name): Path<String>,
-    Body(remark): Body<Remark>,
-) -> Result<StatusCode, Refusal> {
-    remark.check().map_err(|reason| Refusal::from(Fault::new(Exit::Usage, reason)))?;
+async fn remark(State(shared): State<Shared>, Path(name): Path<String>, Body(remark): Body<Remark>) -> Done {
+    remark.check().map_err(|reason| Fault::new(Exit::Usage, reason))?;
     // A session's name is one component of a path: nothing else is written to.
     let parsed = SessionName::parse(&name).map_err(|_| not_found(&name))?;
     let (sessions_dir, node) = (shared.config.sessions_dir.clone(), shared.config.node.clone());
@@ -114,40 +113,35 @@ async fn remark(
         let there = node_dir(&session, &node).is_dir();
         there.then(|| remark.save(&session, &node))
     });
-    let failed = |e: &dyn std::fmt::Display| {
-        Refusal::from(Fault::new(Exit::Failure, format!("what is thought of {name} cannot be written: {e}")))
+    let failed = |e: &dyn Display| {
+        Fault::new(Exit::Failure, format!("the remark on session {name} cannot be written: {e}"))
     };
-    match written.await {
-        Ok(Some(Ok(()))) => Ok(StatusCode::NO_CONTENT),
-        Ok(Some(Err(error))) => Err(failed(&error)),
-        Ok(None) => Err(not_found(&name)),
-        Err(error) => Err(failed(&error)),
-    }
+    let written = written.await.map_err(|e| failed(&e))?;
+    written.ok_or_else(|| not_found(&name))?.map_err(|e| failed(&e))?;
+    Ok(StatusCode::NO_CONTENT)
 }
 
 /// How far the look at a session is. Every session is looked at when it has been recorded, where that is configured.
-#[utoipa::path(get, path = path::QUICK_LOOK, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
+#[utoipa::path(get, path = path::QUICK_LOOK, tag = "sessions",
+    params(("name" = String, Path, description = "The session's name.")),
     responses((status = 200, description = "The look.", body = Look)))]
 async fn get_quick_look(State(shared): State<Shared>, Path(name): Path<String>) -> Json<Look> {
     Json(shared.services.quick_looks.of(&name))
 }
 
 /// Asks for a look at a session: a few frame sets, reconstructed at idle priority.
-#[utoipa::path(post, path = path::QUICK_LOOK, tag = "sessions", params(("name" = String, Path, description = "The session's name.")),
+#[utoipa::path(post, path = path::QUICK_LOOK, tag = "sessions",
+    params(("name" = String, Path, description = "The session's name.")),
     responses(
         (status = 202, description = "It is made, or was made already."),
-        (status = 409, description = "Not configured, no such session, or another one is being looked at.", body = Fault)))]
-async fn ask_quick_look(
-    State(shared): State<Shared>,
-    Path(name): Path<String>,
-    _: NoBody,
-) -> Result<StatusCode, Refusal> {
-    let asked = shared.services.quick_looks.ask(&name);
-    asked.map(|()| StatusCode::ACCEPTED).map_err(|reason| Fault::new(Exit::Usage, reason).into())
+        (status = 409, description = "Not configured, no such session, or another one is under way.", body = Fault)))]
+async fn ask_quick_look(State(shared): State<Shared>, Path(name): Path<String>, _: NoBody) -> Done {
+    shared.services.quick_looks.ask(&name).map_err(|reason| Fault::new(Exit::Usage, reason))?;
+    Ok(StatusCode::ACCEPTED)
 }
 
-/// The cloud of one frame set of a look, this node's cameras: 12 bytes a point, little-endian: x, y, z (i16, tenths of a
-/// millimetre), normal (three i8, 127ths), intensity (u8, 255ths), camera (u8), zero.
+/// The cloud of one frame set of a look, this node's cameras: 12 bytes a point, little-endian: x, y, z (i16, tenths of
+/// a millimetre), normal (three i8, 127ths), intensity (u8, 255ths), camera (u8), zero.
 #[utoipa::path(get, path = path::QUICK_LOOK_CLOUD, tag = "sessions",
     params(
         ("name" = String, Path, description = "The session's name."),
@@ -161,10 +155,9 @@ async fn get_cloud(
     Path((name, trigger)): Path<(String, u64)>,
 ) -> Result<Response, Refusal> {
     let cloud = shared.services.quick_looks.cloud(&name, trigger).ok_or_else(|| {
-        let message = format!("no cloud of trigger {trigger} in the look at session {name:?}");
-        Refusal::new(StatusCode::NOT_FOUND, message)
+        Refusal::not_found(format!("no cloud of trigger {trigger} in the quick look at session {name:?}"))
     })?;
-    Ok(([(header::CONTENT_TYPE, "application/octet-stream")], cloud.as_ref().clone()).into_response())
+    Ok(bytes("application/octet-stream", cloud.as_ref().clone()))
 }
 
 /// Whether the calibration held, session by session, the last 200: what the worker of this node's machine has found.
@@ -174,7 +167,8 @@ async fn get_calibration_lights(State(shared): State<Shared>) -> Json<Calibratio
     Json(shared.services.worker.lights(LIGHTS_MAX))
 }
 
-/// How far each device has moved what it sees since its calibration, over time: the plot of the worker of this node's machine.
+/// How far each device has moved what it sees since its calibration, over time: the plot of the worker of this node's
+/// machine.
 #[utoipa::path(get, path = path::CALIBRATION_PLOT, tag = "sessions",
     responses(
         (status = 200, description = "The plot.", content_type = "image/svg+xml", body = String),
@@ -183,17 +177,10 @@ async fn get_calibration_plot(State(shared): State<Shared>) -> Result<Response, 
     let plot = shared.services.worker.plot();
     // The results may lie on a share that takes its time.
     let read = tokio::task::spawn_blocking(move || regular::read(&plot?, regular::TEXT_BYTES).ok()).await;
-    let none = || Refusal::new(StatusCode::NOT_FOUND, "no worker of this machine has checked a session yet");
-    let svg = read.ok().flatten().ok_or_else(none)?;
-    Ok(([(header::CONTENT_TYPE, "image/svg+xml")], svg).into_response())
+    let none = || Refusal::not_found("no worker of this machine has checked a session yet");
+    Ok(bytes("image/svg+xml", read.ok().flatten().ok_or_else(none)?))
 }
 
 fn not_found(name: &str) -> Refusal {
-    Refusal::new(StatusCode::NOT_FOUND, format!("no session {name:?} at this node"))
-}
-
-/// JSON that was made elsewhere.
-fn told(told: Result<Told, Busy>) -> Result<Option<Response>, Refusal> {
-    let told = told.map_err(|busy| Refusal::from(Fault::new(Exit::Device, busy)))?;
-    Ok(told.map(|json| ([(header::CONTENT_TYPE, "application/json")], json).into_response()))
+    Refusal::not_found(format!("no session {name:?} at this node"))
 }

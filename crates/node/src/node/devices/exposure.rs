@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Exposure and gain of the cameras of a head, set between sessions: as the node file's words, until they are set again or
-//! the node is started anew.
+//! Exposure and gain of the cameras of a head, set between sessions: as the node file's words, until they are set
+//! again or the node is started anew.
 
 use super::{Devices, OpenCamera, PreparedCamera};
 use crate::base::{Exit, Fault};
@@ -9,20 +9,20 @@ use crate::config::Head;
 use crate::control::request::ExposureRequest;
 use crate::control::status::{CameraExposure, ExposureNow, ExposureSet};
 
-/// What a node file may say, too; microseconds and decibels.
+/// The bounds of the node file; microseconds and decibels.
 const LEAST_US: f64 = 0.1;
 const MOST_DB: f64 = 100.0;
 
-/// How features begin that are a camera's exposure or gain.
+/// First characters of the features that are a camera's exposure or gain.
 const EXPOSURE_OR_GAIN: [&str; 6] =
     ["Exposure", "Shutter", "IntegrationTime", "Gain", "AnalogGain", "DigitalGain"];
 
 impl Devices {
-    /// Sets exposure and gain of this node's cameras of some heads: all of them, or none. Each is set up as for a session, and
-    /// read back.
+    /// Sets exposure and gain of this node's cameras of some heads: all of them, or none. Each is set up as for a
+    /// session, and read back.
     ///
     /// # Errors
-    /// [`Exit::Usage`]: what is asked for cannot be, by the rig or by a camera; [`Exit::Device`]: a camera fails.
+    /// [`Exit::Usage`]: the rig or a camera does not allow the request; [`Exit::Device`]: a camera fails.
     pub fn expose(&mut self, request: &ExposureRequest) -> Result<ExposureSet, Fault> {
         self.check(request)?;
         let is_asked =
@@ -44,7 +44,7 @@ impl Devices {
             let cameras = set.into_iter().map(|(i, camera)| self.exposed(i, camera)).collect();
             return Ok(ExposureSet { cameras });
         }
-        // A camera that takes what it had is well: what was asked for is not for it.
+        // A camera that takes its old settings works: only the request does not fit it.
         let mut exit = Exit::Usage;
         for (&i, words) in places.iter().zip(before) {
             self.slots[i].wishes.words = words;
@@ -52,7 +52,7 @@ impl Devices {
                 exit = Exit::Device;
             }
         }
-        let message = format!("nothing was set, the cameras have what they had: {}", faults.join("\n"));
+        let message = format!("nothing was changed: {}", faults.join("\n"));
         Err(Fault::new(exit, message))
     }
 
@@ -74,7 +74,8 @@ impl Devices {
             let most = self.most_us(head);
             if let Some(us) = request.exposure_us.filter(|us| !(LEAST_US..=most).contains(us)) {
                 return refused(format!(
-                    "head {}: expected an exposure from {LEAST_US} to {most:.1} us, which ends within the trigger period, found {us}",
+                    "head {}: expected an exposure from {LEAST_US} to {most:.1} us, which ends within the trigger \
+                     period, found {us}",
                     head.id
                 ));
             }
@@ -87,7 +88,7 @@ impl Devices {
             for (word, said) in [("exposure_us", request.exposure_us), ("gain_db", request.gain_db)] {
                 if is_asked && said.is_some() && slot.wishes.left_to_settings(word) {
                     return refused(format!(
-                        "camera {}: the node file leaves {word} to its raw settings (left_to_settings): change it there",
+                        "camera {}: the node file leaves {word} to raw settings (left_to_settings): change it there",
                         slot.config.id
                     ));
                 }
@@ -121,7 +122,7 @@ impl Devices {
         }
     }
 
-    /// What a camera is asked for now, for the status.
+    /// The exposure and gain that a camera has to use now, for the status.
     pub(super) fn exposure_now(&self, slot: &OpenCamera) -> Option<ExposureNow> {
         let (head, wishes) = (self.head_of(slot)?, &slot.wishes);
         let left = |word| wishes.left_to_settings(word);

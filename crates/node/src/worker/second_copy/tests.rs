@@ -27,7 +27,7 @@ impl Place {
         self.0.path().join("copy")
     }
 
-    /// Copies the bytes.
+    /// A place whose copy has the recording's bytes.
     fn copied() -> Self {
         let place = Self::new();
         std::fs::create_dir(place.copy()).expect("made");

@@ -1,45 +1,33 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One process of `fourdbody` that the worker runs and may end at any moment.
+//! A process of `fourdbody` at idle priority, which its caller may end at any moment.
 
 use crate::base::regular;
 use crate::host::idle_process;
 use std::io;
 use std::path::Path;
-
 use std::time::{Duration, Instant};
 
-/// How often the worker looks at the process, and at what may be a reason to end it.
+/// Time between two looks at the process, and at possible reasons to end it.
 const POLL: Duration = Duration::from_millis(50);
-/// Of what the process has said, so much is told, bytes.
-const TOLD: usize = 600;
+/// Length of the end of a process's output that is quoted, bytes.
+const QUOTED_BYTES: usize = 600;
 
-/// How a process ended.
+/// How a process came to its end.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Ended {
+pub enum Ended<R> {
     /// By itself, with this exit code; `None`: by a signal.
     ByItself(Option<i32>),
-    /// By the worker, for this reason.
-    Interrupted(Interruption),
+    /// By its caller, for this reason.
+    Interrupted(R),
 }
 
-/// Why the worker ends a process that did nothing wrong.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Interruption {
-    /// The worker is to end.
-    Stop,
-    /// A capture needs the machine.
-    Capture(String),
-    /// Something is missing that is not the session's fault.
-    Obstacle(String),
-}
-
-/// Runs `fourdbody` with these arguments at idle priority; what it says goes to `log`. `look` is asked many times a second whether
-/// there is a reason to end it, and told how long the process has been running.
-pub fn run(
+/// Runs `fourdbody` with these arguments at idle priority; its output goes to `log`. `look` receives many times a
+/// second how long the process has been running, and may return a reason to end it.
+pub fn run<R>(
     args: Vec<std::ffi::OsString>,
     log: &Path,
-    mut look: impl FnMut(Duration) -> Option<Interruption>,
-) -> io::Result<Ended> {
+    mut look: impl FnMut(Duration) -> Option<R>,
+) -> io::Result<Ended<R>> {
     let output = regular::create(log)?;
     let mut child = idle_process::command(args)?.stdout(output.try_clone()?).stderr(output).spawn()?;
     let began = Instant::now();
@@ -60,11 +48,11 @@ pub fn run(
     }
 }
 
-/// The last that a process has said.
-pub fn last_words(log: &Path) -> String {
+/// The end of a process's output.
+pub fn last_output(log: &Path) -> String {
     let bytes = regular::read(log, regular::STATEMENT_BYTES).unwrap_or_default();
     let text = String::from_utf8_lossy(&bytes);
     let text = text.trim();
-    let start = text.char_indices().map(|(i, _)| i).find(|i| text.len() - i <= TOLD).unwrap_or(0);
+    let start = text.char_indices().map(|(i, _)| i).find(|i| text.len() - i <= QUOTED_BYTES).unwrap_or(0);
     text[start..].to_owned()
 }
