@@ -4,7 +4,7 @@
 
 use crate::base::ids::{CameraId, NodeId, SessionName, TriggerIndex};
 use crate::config::FeatureSetting;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 use std::fmt;
 
@@ -296,10 +296,25 @@ pub struct NodeEvent {
 const GIVEN_UP: &str = "segment_given_up";
 
 impl NodeEvent {
+    /// An event that names neither a camera nor a trigger.
+    pub fn new(kind: &str, host_time_ns: u64, message: String) -> Self {
+        Self { host_time_ns, kind: kind.to_owned(), camera: None, trigger: None, message }
+    }
+
+    /// An event whose message is a value in JSON.
+    pub(super) fn of_json(kind: &str, host_time_ns: u64, value: &impl Serialize) -> Self {
+        Self::new(kind, host_time_ns, serde_json::to_string(value).unwrap_or_default())
+    }
+
+    /// The value of an event of this kind, whose message is JSON.
+    pub(super) fn json<T: DeserializeOwned>(&self, kind: &str) -> Option<T> {
+        (self.kind == kind).then(|| serde_json::from_str(&self.message).ok())?
+    }
+
     /// Says that a segment stays open because the disk refused it.
     pub(super) fn segment_given_up(number: u32, host_time_ns: u64) -> Self {
         let message = format!("{}: refused by the disk; what it lost is accounted for", segment_name(number));
-        Self { host_time_ns, kind: GIVEN_UP.to_owned(), camera: None, trigger: None, message }
+        Self::new(GIVEN_UP, host_time_ns, message)
     }
 
     /// Whether it says that of this segment.
@@ -337,13 +352,12 @@ const WARM_UP: &str = "warm_up";
 impl WarmUp {
     /// As an event; its message is JSON.
     pub fn event(&self, camera: Option<CameraId>, host_time_ns: u64) -> NodeEvent {
-        let message = serde_json::to_string(self).unwrap_or_default();
-        NodeEvent { host_time_ns, kind: WARM_UP.to_owned(), camera, trigger: None, message }
+        NodeEvent { camera, ..NodeEvent::of_json(WARM_UP, host_time_ns, self) }
     }
 
     /// From an event.
     pub fn of(event: &NodeEvent) -> Option<Self> {
-        (event.kind == WARM_UP).then(|| serde_json::from_str(&event.message).ok())?
+        event.json(WARM_UP)
     }
 }
 
@@ -386,45 +400,30 @@ pub(crate) fn index_schema() -> serde_json::Value {
     }})
 }
 
-/// Name and JSON schema of the channels whose messages are JSON, with their topics.
+/// Topic, name and JSON schema of the channels whose messages are JSON. A field with a question mark may be absent.
 pub(crate) fn json_channels() -> [(&'static str, &'static str, serde_json::Value); 4] {
-    let integer = serde_json::json!({"type": "integer", "minimum": 0});
-    let text = serde_json::json!({"type": "string"});
-    let object = |required: &[&str], properties: serde_json::Value| serde_json::json!({"type": "object", "required": required, "properties": properties});
     [
-        (
-            GAPS_TOPIC,
-            "fourdbody.Gap",
-            object(
-                &["camera", "trigger", "cause"],
-                serde_json::json!({"camera": text, "trigger": integer, "cause": text}),
-            ),
-        ),
-        (
-            TRIGGERS_TOPIC,
-            "fourdbody.Trigger",
-            object(
-                &["index", "hsu_time_ns", "flags", "host_time_ns"],
-                serde_json::json!({"index": integer, "hsu_time_ns": integer, "flags": integer, "host_time_ns": integer}),
-            ),
-        ),
-        (
-            CLOCK_TOPIC,
-            "fourdbody.ClockSample",
-            object(
-                &["host_send_ns", "host_receive_ns", "device_time_ns"],
-                serde_json::json!({"camera": text, "host_send_ns": integer, "host_receive_ns": integer, "device_time_ns": integer}),
-            ),
-        ),
-        (
-            EVENTS_TOPIC,
-            "fourdbody.Event",
-            object(
-                &["host_time_ns", "kind", "message"],
-                serde_json::json!({"host_time_ns": integer, "kind": text, "camera": text, "trigger": integer, "message": text}),
-            ),
-        ),
+        (GAPS_TOPIC, "fourdbody.Gap", "camera:text trigger cause:text"),
+        (TRIGGERS_TOPIC, "fourdbody.Trigger", "index hsu_time_ns flags host_time_ns"),
+        (CLOCK_TOPIC, "fourdbody.ClockSample", "camera?:text host_send_ns host_receive_ns device_time_ns"),
+        (EVENTS_TOPIC, "fourdbody.Event", "host_time_ns kind:text camera?:text trigger? message:text"),
     ]
+    .map(|(topic, name, fields)| (topic, name, schema_of(fields)))
+}
+
+/// The JSON schema of an object with these fields, which are natural numbers unless they are texts.
+fn schema_of(fields: &str) -> serde_json::Value {
+    let (mut required, mut properties) = (Vec::new(), serde_json::Map::new());
+    for field in fields.split(' ') {
+        let (name, kind) = match field.strip_suffix(":text") {
+            Some(name) => (name, serde_json::json!({"type": "string"})),
+            None => (field, serde_json::json!({"type": "integer", "minimum": 0})),
+        };
+        let optional = name.strip_suffix('?');
+        required.extend(optional.is_none().then_some(name));
+        properties.insert(optional.unwrap_or(name).to_owned(), kind);
+    }
+    serde_json::json!({"type": "object", "required": required, "properties": properties})
 }
 
 impl RecordingHeader {
@@ -476,7 +475,17 @@ impl RecordingHeader {
 
 #[cfg(test)]
 mod tests {
-    use super::{GapCause, segment_name, segment_number};
+    use super::{GapCause, json_channels, segment_name, segment_number};
+
+    #[test]
+    fn golden_schema_of_events() {
+        let integer = r#"{"minimum":0,"type":"integer"}"#;
+        let text = r#"{"type":"string"}"#;
+        let expected = format!(
+            r#"{{"properties":{{"camera":{text},"host_time_ns":{integer},"kind":{text},"message":{text},"trigger":{integer}}},"required":["host_time_ns","kind","message"],"type":"object"}}"#
+        );
+        assert_eq!(json_channels()[3].2.to_string(), expected);
+    }
 
     #[test]
     fn causes_keep_their_names() {

@@ -4,6 +4,8 @@
 //! `docs/design/recording.md` states what they must keep true. [`layout`] is the contract between writer and
 //! reader; [`Recording`] writes one node's part of a session; [`SessionReader`] reads a session back.
 
+#![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]
+
 use fourdbody_core::{base, config, data};
 
 mod action_counts;
@@ -26,7 +28,7 @@ mod metadata;
 mod noted;
 mod open_chunk;
 mod partial;
-mod protobuf;
+pub mod protobuf;
 mod reader;
 pub mod recover;
 pub mod remark;

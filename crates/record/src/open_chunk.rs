@@ -70,14 +70,17 @@ pub(super) struct Window {
     writes_under_way: usize,
     syncs_under_way: usize,
     memory: Vec<(AlignedBuffer, Vec<Run>)>,
-    milestones: Vec<Milestone>,
+    /// What the disk has done since they were taken last.
+    pub milestones: Vec<Milestone>,
     /// Length of the file after a failure.
     kept: Option<u64>,
     closed: bool,
     blocks_held: usize,
     blocks_under_way: std::collections::VecDeque<usize>,
-    blocks_high_water: usize,
-    copied_frames: u64,
+    /// Blocks that the window held at the same time, at most.
+    pub blocks_high_water: usize,
+    /// Announced frames that were copied because they did not lie where the disk can take them.
+    pub copied_frames: u64,
 }
 
 impl Window {
@@ -153,16 +156,6 @@ impl Window {
             self.blocks_held += 1;
             self.blocks_high_water = self.blocks_high_water.max(self.blocks_held);
         }
-    }
-
-    /// Blocks that the window held at the same time, at most.
-    pub fn blocks_high_water(&self) -> usize {
-        self.blocks_high_water
-    }
-
-    /// Announced frames that were copied because they did not lie where the disk can take them.
-    pub fn copied_frames(&self) -> u64 {
-        self.copied_frames
     }
 
     fn stage(&mut self, bytes: &[u8]) {
@@ -329,11 +322,6 @@ impl Window {
             while self.kept.is_none() && self.wait().is_ok() {}
         }
         self.kept.unwrap_or(0)
-    }
-
-    /// What the disk has done since the last call.
-    pub fn take_milestones(&mut self) -> std::vec::Drain<'_, Milestone> {
-        self.milestones.drain(..)
     }
 }
 

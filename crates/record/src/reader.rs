@@ -7,7 +7,7 @@ use super::frame_check::{check_pixels, identify, read_front};
 use super::layout::{
     CameraHeader, ClockSample, GapCause, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER,
     KEY_JSON, KEY_RECORDS, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA, STATISTICS_METADATA,
-    TriggerRecord, VERDICT_METADATA, VERSION, image_topic,
+    TriggerRecord, VERDICT_METADATA, VERSION,
 };
 use super::metadata::{
     StatedHeader, foreign_reason, is_sound, of_most, parse_header, read_header, stated_index,
@@ -16,7 +16,7 @@ use super::scan::{End, Entries, Event, Walker, metadata_by_index, open_segment};
 use super::segment_file::{BadRange, SegmentFile};
 use super::session::RecordingFiles;
 use super::statistics::WriteStatistics;
-pub(crate) use super::topic::Topic;
+use super::topic::{Topic, Topics};
 use super::verdict::{CameraVerdict, TriggerSet, Verdict};
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::Plane;
@@ -276,36 +276,29 @@ impl RecordingReader {
 
     fn walk(&mut self, segment: &mut SegmentReader, file: &SegmentFile) {
         let (place, number) = (self.segments.len(), segment.number);
-        let topics: Vec<String> = self.header.cameras.iter().map(|c| image_topic(&c.id)).collect();
-        let mut channels: BTreeMap<u16, Topic> = BTreeMap::new();
-        let mut walker = Walker::new(file);
+        let mut topics = Topics::of(&self.header);
+        let mut walker = Walker::new(file).over_holes();
         let mut payload = Vec::new();
-        loop {
-            for event in walker.by_ref() {
-                match event {
-                    Event::Channel { id, topic } => {
-                        channels.insert(id, Topic::of(&topic, &topics));
+        for event in walker.by_ref() {
+            match event {
+                Event::Channel { id, topic } => topics.announce(id, &topic),
+                Event::Message { channel, sequence, data } => match topics.carried_by(channel) {
+                    Topic::Image(camera) => {
+                        let outcome =
+                            Outcome::Frame { segment: place, offset: data.start, length: data.len() };
+                        self.outcome(number, camera, u64::from(sequence), outcome);
                     }
-                    Event::Message { channel, sequence, data } => {
-                        let topic = channels.get(&channel).copied().unwrap_or(Topic::Other);
-                        if let Topic::Image(camera) = topic {
-                            let outcome =
-                                Outcome::Frame { segment: place, offset: data.start, length: data.len() };
-                            self.outcome(number, camera, u64::from(sequence), outcome);
-                        } else if topic != Topic::Other {
-                            payload.resize(data.len(), 0);
-                            // What cannot be read is told of the segment as a whole.
-                            if file.read(data.start, &mut payload).is_ok() {
-                                self.small_record(number, topic, &payload);
-                            }
+                    Topic::Other => {}
+                    topic => {
+                        payload.resize(data.len(), 0);
+                        // What cannot be read is a problem of the segment as a whole.
+                        if file.read(data.start, &mut payload).is_ok() {
+                            self.small_record(number, topic, &payload);
                         }
                     }
-                    Event::Metadata { name, entries } => self.metadata(segment, &name, &entries),
-                    Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
-                }
-            }
-            if !walker.go_on() {
-                break;
+                },
+                Event::Metadata { name, entries } => self.metadata(segment, &name, &entries),
+                Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
             }
         }
         segment.end = walker.end();

@@ -116,7 +116,8 @@ pub struct Walker<'a> {
     end: Option<End>,
     /// Behind the bytes that the walk stopped at because they cannot be read.
     unreadable_to: Option<usize>,
-    /// Bytes that may still be looked at for where to go on.
+    /// Whether the walk goes on behind bytes that cannot be read, and the bytes that may still be looked at for where.
+    goes_on: bool,
     budget: usize,
 }
 
@@ -144,7 +145,13 @@ impl<'a> Walker<'a> {
     pub fn within(file: &'a SegmentFile, range: Range<usize>) -> Self {
         let (limit, position) = (range.end.min(file.len()), range.start);
         let (pieces, budget) = (Pieces::new(file), budget(file.len()));
-        Self { pieces, limit, position, chunk_end: None, end: None, unreadable_to: None, budget }
+        let (goes_on, chunk_end, end, unreadable_to) = (false, None, None, None);
+        Self { pieces, limit, position, chunk_end, end, unreadable_to, goes_on, budget }
+    }
+
+    /// Goes on behind bytes that cannot be read, at the next place that is a record without doubt.
+    pub fn over_holes(self) -> Self {
+        Self { goes_on: true, ..self }
     }
 
     /// How the walk ended; `Cut` at the current place before that.
@@ -152,22 +159,18 @@ impl<'a> Walker<'a> {
         self.end.clone().unwrap_or(End::Cut { at: self.position })
     }
 
-    /// If it ended because bytes cannot be read: goes on at the next place that is a record without doubt. `false` where
-    /// that is not why, or where there is none.
-    pub fn go_on(&mut self) -> bool {
-        let Some(to) = self.unreadable_to.take() else { return false };
-        match find(self.pieces.file(), to, &mut self.budget) {
-            Some(found) => {
-                let at = match found {
-                    Found::Record(at) => at,
-                    // Its own record is what cannot be read: who walks by records goes on behind it.
-                    Found::Frame(message) => message.end,
-                };
-                (self.position, self.chunk_end, self.end) = (at, None, None);
-                true
-            }
-            None => false,
-        }
+    /// If the walk ended because bytes cannot be read: moves to the next record behind them; `false` where there is none.
+    fn go_on(&mut self) -> bool {
+        let to = self.unreadable_to.take().filter(|_| self.goes_on);
+        let found = to.and_then(|to| find(self.pieces.file(), to, &mut self.budget));
+        let Some(found) = found else { return false };
+        self.position = match found {
+            Found::Record(at) => at,
+            // Its own record is what cannot be read: who walks by records goes on behind it.
+            Found::Frame(message) => message.end,
+        };
+        (self.chunk_end, self.end) = (None, None);
+        true
     }
 
     fn damaged(&mut self, at: usize, reason: impl Into<String>) {
@@ -260,18 +263,9 @@ impl<'a> Walker<'a> {
                 return None;
             }
         };
-        let mut fields = Fields { bytes: header, position: 0 };
-        let parsed = (|| {
-            fields.u64()?;
-            fields.u64()?;
-            let uncompressed = fields.u64()?;
-            let crc = fields.u32()?;
-            let compression = fields.text()?.to_owned();
-            let compressed = fields.u64()?;
-            Some((uncompressed, crc, compression, compressed))
-        })();
-        let header_bytes = fields.position;
-        let Some((uncompressed, crc, compression, compressed)) = parsed else {
+        let Some(ChunkHeader { uncompressed, crc, compression, compressed, length }) =
+            ChunkHeader::of(header)
+        else {
             if end > self.limit {
                 self.stop_at_rest();
             } else {
@@ -287,7 +281,7 @@ impl<'a> Walker<'a> {
             self.damaged(start, reason);
             return None;
         }
-        let records = body + header_bytes..end;
+        let records = body + length..end;
         let length = (end - records.start) as u64;
         if uncompressed != length || compressed != length {
             let reason = format!("a chunk of {length} bytes states {uncompressed} and {compressed}");
@@ -373,7 +367,26 @@ impl Iterator for Walker<'_> {
     type Item = Event;
 
     fn next(&mut self) -> Option<Event> {
-        self.step()
+        self.step().or_else(|| if self.go_on() { self.next() } else { None })
+    }
+}
+
+/// A chunk's fields before its records.
+struct ChunkHeader {
+    uncompressed: u64,
+    crc: u32,
+    compression: String,
+    compressed: u64,
+    /// Bytes of these fields.
+    length: usize,
+}
+
+impl ChunkHeader {
+    fn of(bytes: &[u8]) -> Option<Self> {
+        let mut fields = Fields { bytes, position: 8 + 8 };
+        let (uncompressed, crc, compression) = (fields.u64()?, fields.u32()?, fields.text()?.to_owned());
+        let compressed = fields.u64()?;
+        Some(Self { uncompressed, crc, compression, compressed, length: fields.position })
     }
 }
 

@@ -11,7 +11,7 @@ use super::layout::{
     image_topic, index_schema, json_channels,
 };
 use super::metadata::checksum;
-use super::open_chunk::{CHUNK_HEADER, Handle, Milestone, Window, lock};
+use super::open_chunk::{CHUNK_HEADER, Handle, Window, lock};
 use super::statistics::WriteStatistics;
 use super::verdict::Verdict;
 use crate::base::ids::CameraId;
@@ -59,8 +59,8 @@ pub enum JsonChannel {
 pub struct Segment {
     mcap: mcap::Writer<Handle>,
     window: Arc<Mutex<Window>>,
-    number: u32,
-    first_trigger: u64,
+    pub(super) number: u32,
+    pub(super) first_trigger: u64,
     /// `None` in a copy of a recording without marks.
     mark: Option<SessionMark>,
     images: Vec<u16>,
@@ -140,22 +140,13 @@ impl Segment {
         Ok(())
     }
 
-    /// Its place among the recording's segments.
-    pub fn number(&self) -> u32 {
-        self.number
-    }
-
-    /// First trigger of the segment.
-    pub fn first_trigger(&self) -> u64 {
-        self.first_trigger
-    }
-
     /// Bytes so far, the open chunk included.
     pub fn bytes(&self) -> u64 {
-        self.lock().position()
+        self.window().position()
     }
 
-    fn lock(&self) -> MutexGuard<'_, Window> {
+    /// The open chunk, and what is on its way to the disk.
+    pub(super) fn window(&self) -> MutexGuard<'_, Window> {
         lock(&self.window)
     }
 
@@ -179,9 +170,9 @@ impl Segment {
         let length = self.align(id, meta)?;
         envelope::write_padded_envelope(block.room_mut(), self.mark, id, meta, length)
             .map_err(io::Error::other)?;
-        self.lock().announce(block.pixels(), meta.pixels_crc);
+        self.window().announce(block.pixels(), meta.pixels_crc);
         let result = self.frame(camera, meta, &block.bytes()[ROOM_BYTES - length..]);
-        self.lock().deliver(block);
+        self.window().deliver(block);
         result
     }
 
@@ -234,38 +225,6 @@ impl Segment {
         Ok(self.bytes())
     }
 
-    /// Learns what the disk has done.
-    pub fn poll(&mut self) -> io::Result<()> {
-        self.lock().poll()
-    }
-
-    /// Waits until everything asked for is done.
-    pub fn settle(&mut self) -> io::Result<()> {
-        self.lock().settle()
-    }
-
-    /// Asks for an `fdatasync` of everything committed.
-    pub fn request_sync(&mut self) -> io::Result<()> {
-        self.lock().request_sync()
-    }
-
-    /// Makes sure that nothing more is written, and returns the length that stays: what is beyond is accounted
-    /// for elsewhere.
-    pub fn abandon(&mut self) -> u64 {
-        self.lock().abandon()
-    }
-
-    /// What the disk has done since the last call.
-    pub fn milestones(&mut self) -> Vec<Milestone> {
-        self.lock().take_milestones().collect()
-    }
-
-    /// Blocks held at the same time, at most; frames that had to be copied.
-    pub fn blocks(&self) -> (usize, u64) {
-        let window = self.lock();
-        (window.blocks_high_water(), window.copied_frames())
-    }
-
     /// Writes the index, the segment's range, and the summary; `closing` in the last one. The segment can only
     /// be dropped afterwards.
     pub fn finish(&mut self, end_trigger: Option<u64>, closing: Option<Closing<'_>>) -> io::Result<()> {
@@ -294,9 +253,9 @@ impl Segment {
             let entries = [verdict].into_iter().chain(counted).chain(mark);
             self.mcap.write_metadata(&metadata(VERDICT_METADATA, entries)).map_err(io_error)?;
         }
-        self.lock().end_data();
+        self.window().end_data();
         self.mcap.finish().map_err(io_error)?;
-        self.lock().close()
+        self.window().close()
     }
 }
 

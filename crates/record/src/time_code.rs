@@ -32,13 +32,12 @@ const KIND: &str = "time_code";
 impl HeardTimeCode {
     /// As an event; `host_time_ns` is when it was heard of.
     pub fn event(&self, host_time_ns: u64) -> NodeEvent {
-        let message = serde_json::to_string(self).unwrap_or_default();
-        NodeEvent { host_time_ns, kind: KIND.to_owned(), camera: None, trigger: None, message }
+        NodeEvent::of_json(KIND, host_time_ns, self)
     }
 
     /// From an event.
     pub fn of(event: &NodeEvent) -> Option<Self> {
-        (event.kind == KIND).then(|| serde_json::from_str(&event.message).ok())?
+        event.json(KIND)
     }
 
     /// Whether this is the next frame after `before`: it begins where that one ended, and its code is the next one.

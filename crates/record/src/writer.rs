@@ -254,9 +254,10 @@ impl Recording {
         statistics.durable = self.latencies.durable.summary();
         let mut held = 0;
         for entry in &self.segments {
-            let (high_water, copied) = entry.segment.blocks();
-            held += high_water;
-            statistics.copied_frames += copied;
+            let window = entry.segment.window();
+            held += window.blocks_high_water;
+            statistics.copied_frames += window.copied_frames;
+            drop(window);
             statistics.bytes += entry.segment.bytes();
         }
         statistics.blocks_high_water = statistics.blocks_high_water.max(held);
@@ -377,7 +378,7 @@ impl Recording {
         let mut last = self.segments.pop_back();
         let mut result = Ok(());
         while let Some(mut entry) = self.segments.pop_front() {
-            let end = last.as_ref().map(|last| last.segment.first_trigger());
+            let end = last.as_ref().map(|last| last.segment.first_trigger);
             result = result.and(entry.segment.finish(end, None));
         }
         if let Some(last) = &mut last {
@@ -420,7 +421,7 @@ impl Recording {
 
     /// The segment of a trigger: the newest that begins at or before it.
     fn place(&self, trigger: TriggerIndex) -> usize {
-        self.segments.iter().rposition(|entry| entry.segment.first_trigger() <= trigger.0).unwrap_or(0)
+        self.segments.iter().rposition(|entry| entry.segment.first_trigger <= trigger.0).unwrap_or(0)
     }
 
     /// A small record's bytes, with the session's mark and its number.
@@ -532,7 +533,7 @@ impl Recording {
 
     /// Closes the older of two segments, on a thread of its own, once every camera is past it.
     fn close_older(&mut self) -> Result<(), RecordError> {
-        let Some(boundary) = self.segments.get(1).map(|entry| entry.segment.first_trigger()) else {
+        let Some(boundary) = self.segments.get(1).map(|entry| entry.segment.first_trigger) else {
             return Ok(());
         };
         if !self.tallies.iter().all(|tally| tally.seen().covers(boundary)) {
@@ -545,7 +546,7 @@ impl Recording {
             return self.fail(source);
         }
         self.past.blocks_high_water = statistics.blocks_high_water;
-        self.past.copied_frames += older.segment.blocks().1;
+        self.past.copied_frames += older.segment.window().copied_frames;
         self.past.bytes += older.segment.bytes();
         self.closing.push(older.close_aside(Some(boundary)));
         Ok(())

@@ -306,9 +306,10 @@ impl Matcher {
             let enclosed = self.last.is_some_and(|last| own.by_id == last.number + 1)
                 && settled.by_id == own.by_id.saturating_add(1)
                 && arrivals.frames >= ALIKE;
+            let by_clock = || own.by_clock.is_some_and(|n| self.timing(case, own.frame, n) == Timing::InTime);
             return match self.timing(case, own.frame, own.by_id) {
                 Timing::Early => Some(self.pass_over(case.frame)),
-                Timing::Late if self.is_in_time_by_clock(case, own) => Some(self.pass_over(case.frame)),
+                Timing::Late if by_clock() => Some(self.pass_over(case.frame)),
                 timing if enclosed || timing == Timing::InTime => {
                     let residual = own.exposed.zip(case.table.time_ns(own.by_id));
                     let residual = residual.map(|(ns, due)| ns - i128::from(due));
@@ -326,11 +327,6 @@ impl Matcher {
             Some(number) => Some(self.accept(case, number, None)),
             None => Some(self.pass_over(case.frame)),
         }
-    }
-
-    /// Its clock and its arrival agree on another trigger than its id's.
-    fn is_in_time_by_clock(&self, case: &Case<'_>, own: &Claim<'_>) -> bool {
-        own.by_clock.is_some_and(|number| self.timing(case, own.frame, number) == Timing::InTime)
     }
 
     /// The clock gives the frames behind other triggers than their ids, all of them later ones or all earlier ones.

@@ -74,8 +74,8 @@ enum Stage {
     Beginning(Anchoring, Option<i64>),
     /// Ids count from a known trigger.
     Known,
-    /// The camera is back, or nothing fitted any more.
-    Lost(rejoin::Rejoin),
+    /// The camera is back, or nothing fitted any more; with its clock's relation from before.
+    Lost(Option<Tracker>),
 }
 
 /// Matches the frames of one camera, in the order in which they arrive.
@@ -149,7 +149,7 @@ impl Matcher {
     /// How long this camera takes, where that is measured.
     pub fn habits(&self) -> Option<Habits> {
         let known = matches!(self.stage, Stage::Known) && self.like.is_none() && self.envelope()?.tells;
-        let stamp_delay_ns = self.clock.stamp_delay_ns().filter(|_| known)?;
+        let stamp_delay_ns = self.clock.stamp_delay_ns.filter(|_| known)?;
         Some(Habits { stamp_delay_ns, latency: self.latency })
     }
 
@@ -176,7 +176,7 @@ impl Matcher {
         self.ids = BlockIds::default();
         self.lost_before = 0;
         self.stage = match train_began {
-            true => Stage::Lost(rejoin::Rejoin { before: self.tracker.take() }),
+            true => Stage::Lost(self.tracker.take()),
             false => Stage::Beginning(Anchoring::default(), None),
         };
         (self.given_up, self.arrived, self.unsettled, self.first_id) = (0, None, false, None);
@@ -248,7 +248,7 @@ impl Matcher {
         // Without timestamps nothing could find the place again, but ids go on: once frames are in time for them, they are
         // right.
         if answer == Match::Undecided && self.given_up >= GIVEN_UP_MAX && self.tracker.is_some() {
-            self.stage = Stage::Lost(rejoin::Rejoin { before: self.tracker.take() });
+            self.stage = Stage::Lost(self.tracker.take());
         }
         answer
     }
@@ -336,9 +336,9 @@ impl Matcher {
         let unheard = !of_warm_up && told && followers.len() >= LIKE_FOLLOWERS;
         if unheard && let Some(like) = self.like {
             self.first_id.get_or_insert(frame.id);
-            self.clock.presume(like.stamp_delay_ns);
+            self.clock.stamp_delay_ns = Some(like.stamp_delay_ns);
             self.latency = like.latency;
-            self.stage = Stage::Lost(rejoin::Rejoin { before: None });
+            self.stage = Stage::Lost(None);
             return None;
         }
         if !of_warm_up && !last_call {
@@ -355,7 +355,7 @@ impl Matcher {
             .zip(table.latest_ns())
             .is_some_and(|(ns, latest)| ns <= i128::from(latest) + i128::from(period_ns * 9 / 8));
         self.stage = match told && all && silent > 2 * warm_up {
-            true => Stage::Lost(rejoin::Rejoin { before: None }),
+            true => Stage::Lost(None),
             false => Stage::Beginning(with_this, Some(next)),
         };
         if !of_warm_up {
@@ -453,11 +453,6 @@ impl Matcher {
         (period_ns / 16).max((spread * 6.0) as i128).min(period_ns / 4)
     }
 
-    /// Whether a reading of the camera's clock is still to be had for this frame; if so it is asked for.
-    fn awaits_reading(&mut self, case: &Case<'_>) -> bool {
-        !case.last_call && self.clock.awaits(case.frame, case.hsu)
-    }
-
     /// The reported trigger of a timestamp by readings of the camera's clock, if the frame can have come from there.
     fn read_trigger(&self, case: &Case<'_>, frame: &Sighting) -> Option<i64> {
         let period_ns = i128::from(self.start.period_ns);
@@ -500,13 +495,6 @@ impl Matcher {
         }
     }
 
-    /// How late a frame of the trigger at `due`, HSU time, arrived.
-    fn learn_latency(&mut self, case: &Case<'_>, due: u64) {
-        if let Some(arrived) = self.arrived_ns(case.frame.host_ns, case.hsu) {
-            self.latency.follow(arrived - i128::from(due), self.start.period_ns);
-        }
-    }
-
     fn accept(&mut self, case: &Case<'_>, number: i64, finding: Option<Finding>) -> Match {
         let Case { frame, table, .. } = *case;
         // From times that are expected or inferred nothing is learned: they come from what was learned before.
@@ -516,7 +504,9 @@ impl Matcher {
                 Tracker::learn(&mut self.tracker, due, camera_ns);
                 self.clock.learn(due, frame);
             }
-            self.learn_latency(case, due);
+            if let Some(arrived) = self.arrived_ns(frame.host_ns, case.hsu) {
+                self.latency.follow(arrived - i128::from(due), self.start.period_ns);
+            }
         }
         let in_time = self.timing(case, frame, number) == dispute::Timing::InTime;
         let matched = self.place(frame, number, finding);

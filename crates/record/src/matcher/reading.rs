@@ -25,7 +25,7 @@ pub(super) struct CameraClock {
     pub(super) fit: ClockFit,
     period_ns: u64,
     /// From a trigger to its frame's timestamp, ns, by the fit: measured once.
-    stamp_delay_ns: Option<i128>,
+    pub(super) stamp_delay_ns: Option<i128>,
     /// Frames to measure it by, once the clock has been read behind them: their triggers' times and themselves.
     to_measure: Vec<(u64, Sighting)>,
     /// When the last exchange was asked for that agrees with the fit, host clock, ns.
@@ -90,16 +90,6 @@ impl CameraClock {
     pub(super) fn was_set(&mut self) {
         self.read_ns = None;
         self.to_measure.clear();
-    }
-
-    /// From a trigger to its frame's timestamp, ns, where it is measured.
-    pub(super) fn stamp_delay_ns(&self) -> Option<i128> {
-        self.stamp_delay_ns
-    }
-
-    /// It is taken to be that of a camera like this one.
-    pub(super) fn presume(&mut self, stamp_delay_ns: i128) {
-        self.stamp_delay_ns = Some(stamp_delay_ns);
     }
 
     /// Asks for a reading.

@@ -12,13 +12,6 @@ use super::dispute::{IN_TIME, Timing};
 use super::sighting::{Match, Sighting};
 use super::{Case, Matcher, Stage};
 
-/// What is known of a stream whose place is looked for.
-#[derive(Debug)]
-pub(super) struct Rejoin {
-    /// The clock's relation before.
-    pub(super) before: Option<Tracker>,
-}
-
 /// The trigger that a frame's clock names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Named {
@@ -31,13 +24,13 @@ impl Matcher {
     /// Finds the place of a stream by clock and arrivals.
     pub(super) fn rejoin(&mut self, case: &Case<'_>) -> Match {
         let before = match &self.stage {
-            Stage::Lost(lost) => lost.before,
+            Stage::Lost(before) => *before,
             _ => None,
         };
         if !case.frame.complete || case.frame.camera_ns.is_none() {
             return self.give_up(case.frame);
         }
-        if self.awaits_reading(case) {
+        if !case.last_call && self.clock.awaits(case.frame, case.hsu) {
             return Match::Wait;
         }
         let more = !case.last_call;

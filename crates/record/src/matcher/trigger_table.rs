@@ -374,11 +374,6 @@ impl TriggerTable {
 }
 
 impl Schedule<'_> {
-    /// Whether nothing was reported yet: then nothing can be expected either.
-    pub fn is_empty(&self) -> bool {
-        self.table.is_empty()
-    }
-
     /// The time of a trigger.
     pub fn time_ns(&self, number: i64) -> Option<u64> {
         let ahead = number.checked_sub(self.table.end() - 1)?;

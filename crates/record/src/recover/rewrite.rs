@@ -130,14 +130,7 @@ impl Copy<'_> {
         self.small_records(u64::MAX)?;
         (self.advance)(self.source.bytes().saturating_sub(self.advanced));
         let source = self.source;
-        let event = NodeEvent {
-            host_time_ns: host_time_ns(),
-            kind: RECOVERED.to_owned(),
-            camera: None,
-            trigger: None,
-            message: self.description(triggers),
-        };
-        self.recording.event(&event)?;
+        self.recording.event(&NodeEvent::new(RECOVERED, host_time_ns(), self.description(triggers)))?;
         let stored = source.verdict.as_ref();
         let emitted = if extent.triggers.is_some() { extent.emitted } else { source.emitted() };
         let verdict: Verdict = self.recording.finish(SessionEnd {

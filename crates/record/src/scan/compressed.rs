@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Segments that another program compressed: they are refused by name, so that none is taken for an empty one.
 
-use super::{Fields, MAX_CHUNK_FIELDS, record_at};
+use super::{ChunkHeader, MAX_CHUNK_FIELDS, record_at};
 use crate::segment_file::{Pieces, SegmentFile};
 use mcap::MAGIC;
 use mcap::records::op;
@@ -33,8 +33,8 @@ fn compression(file: &SegmentFile) -> Option<String> {
         let (opcode, body) = record_at(&mut pieces, position)?;
         if opcode == op::CHUNK {
             let header = body.start..body.end.min(body.start + MAX_CHUNK_FIELDS);
-            let mut fields = Fields { bytes: pieces.get(header).ok()?, position: 8 + 8 + 8 + 4 };
-            return fields.text().filter(|name| is_compression(name)).map(str::to_owned);
+            let compression = ChunkHeader::of(pieces.get(header).ok()?)?.compression;
+            return Some(compression).filter(|name| is_compression(name));
         }
         position = body.end;
     }

@@ -2,7 +2,8 @@
 //! Where to go on behind damage.
 
 use super::{
-    Fields, MAX_MESSAGE, MAX_SMALL_RECORD, MESSAGE_HEADER, PREAMBLE, preamble, record_at, small_body,
+    ChunkHeader, Fields, MAX_MESSAGE, MAX_SMALL_RECORD, MESSAGE_HEADER, PREAMBLE, preamble, record_at,
+    small_body,
 };
 use crate::envelope::{FRONT, begins_like_envelope, parse_envelope_of};
 use crate::segment_file::{Pieces, SegmentFile};
@@ -85,12 +86,10 @@ fn is_record(pieces: &mut Pieces<'_>, at: usize, budget: &mut usize) -> Option<b
         // It may reach beyond the end of a file that was cut.
         op::CHUNK => {
             let body = at + PREAMBLE;
-            let mut fields = Fields { bytes: pieces.get(body..body + CHUNK_FIELDS).ok()?, position: 16 };
-            let (uncompressed, _) = (fields.u64()?, fields.u32()?);
-            let (compression, compressed) = (fields.u32()?, fields.u64()?);
-            compression == 0
-                && uncompressed == compressed
-                && compressed.checked_add(CHUNK_FIELDS as u64) == Some(length)
+            let chunk = ChunkHeader::of(pieces.get(body..body + CHUNK_FIELDS).ok()?)?;
+            chunk.compression.is_empty()
+                && chunk.uncompressed == chunk.compressed
+                && chunk.compressed.checked_add(CHUNK_FIELDS as u64) == Some(length)
         }
         op::METADATA if length <= MAX_SMALL_RECORD as u64 => {
             let (_, body) = record_at(pieces, at)?;

@@ -5,15 +5,14 @@ use super::witnesses::{Seen, Times};
 use super::{Notes, Severity};
 use crate::base::ids::TriggerIndex;
 use crate::frame_check::check_frame;
-use crate::layout::{GapRecord, SegmentIndex, TriggerRecord, image_topic};
+use crate::layout::{GapRecord, SegmentIndex, TriggerRecord};
 use crate::metadata::stated_index;
 use crate::reader::{RecordingReader, SegmentReader};
 use crate::scan::{End, Event, Walker, metadata_by_index};
 use crate::segment_file::SegmentFile;
-use crate::topic::Topic;
+use crate::topic::{Topic, Topics};
 use crc32fast::Hasher;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// Checks all segments; returns what the frames say of their instants, by camera of the header.
@@ -50,67 +49,57 @@ fn check_segment(
         return times;
     };
     let number = Some(segment.number);
-    let topics: Vec<String> = recording.header.cameras.iter().map(|c| image_topic(&c.id)).collect();
-    let mut channels = BTreeMap::new();
+    let mut topics = Topics::of(&recording.header);
     let mut data_end = false;
     let mut index = SegmentIndex::default();
     let mut sums = Sums { file, number, passed: 0, data: Some(Hasher::new()), chunk: None, advance };
     let mut payload = Vec::new();
-    let mut walker = Walker::new(file);
-    loop {
-        for event in walker.by_ref() {
-            match event {
-                Event::Channel { id, topic } => {
-                    channels.insert(id, Topic::of(&topic, &topics));
-                }
-                Event::Chunk { records, crc, whole } => sums.enter_chunk(&records, crc, whole, notes),
-                Event::Message { channel, sequence, data } => {
-                    payload.resize(data.len(), 0);
-                    let read = file.read(data.start, &mut payload).map_err(|bad| bad.to_string());
-                    // One that is not readable has been noted when the recording was opened.
-                    if channels.get(&channel) == Some(&Topic::Gaps) {
-                        index.gaps.extend(serde_json::from_slice::<GapRecord>(&payload).ok());
-                    } else if channels.get(&channel) == Some(&Topic::Triggers) {
+    let mut walker = Walker::new(file).over_holes();
+    for event in walker.by_ref() {
+        match event {
+            Event::Channel { id, topic } => topics.announce(id, &topic),
+            Event::Chunk { records, crc, whole } => sums.enter_chunk(&records, crc, whole, notes),
+            Event::Message { channel, sequence, data } => {
+                payload.resize(data.len(), 0);
+                let read = file.read(data.start, &mut payload).map_err(|bad| bad.to_string());
+                // One that is not readable has been noted when the recording was opened.
+                match topics.carried_by(channel) {
+                    Topic::Gaps => index.gaps.extend(serde_json::from_slice::<GapRecord>(&payload).ok()),
+                    Topic::Triggers => {
                         let row = serde_json::from_slice::<TriggerRecord>(&payload).ok();
                         index.triggers.get_or_insert_default().extend(row.map(|row| row.row()));
-                    } else if let Some(Topic::Image(camera)) = channels.get(&channel) {
-                        let trigger = u64::from(sequence);
-                        index.frames.push((*camera as u32, trigger, data.start as u64, data.len() as u64));
-                        let checked = read.clone().and_then(|()| {
-                            check_frame(
-                                &payload,
-                                *camera,
-                                TriggerIndex(trigger),
-                                &recording.header,
-                                &recording.belonging,
-                            )
-                        });
-                        note_frame(recording, segment, *camera, trigger, checked.as_ref().err(), notes);
+                    }
+                    Topic::Image(camera) => {
+                        let (trigger, header) = (u64::from(sequence), &recording.header);
+                        index.frames.push((camera as u32, trigger, data.start as u64, data.len() as u64));
+                        let check = |()| {
+                            check_frame(&payload, camera, TriggerIndex(trigger), header, &recording.belonging)
+                        };
+                        let checked = read.clone().and_then(check);
+                        note_frame(recording, segment, camera, trigger, checked.as_ref().err(), notes);
                         if let Ok((meta, pixels)) = checked {
                             let (camera_ns, host_ns) = (meta.camera_time_ns, meta.host_time_ns);
-                            times[*camera].insert(trigger, Seen { block: meta.block.0, camera_ns, host_ns });
+                            times[camera].insert(trigger, Seen { block: meta.block.0, camera_ns, host_ns });
                             sums.message(&data, &payload[..pixels.start], Some(meta.pixels_crc), notes);
                             continue;
                         }
                     }
-                    if read.is_ok() {
-                        sums.message(&data, &payload, None, notes);
-                    }
+                    Topic::Clock | Topic::Events | Topic::Other => {}
                 }
-                Event::DataEnd { offset, crc } => {
-                    data_end = true;
-                    sums.end_data(offset, crc, notes);
+                if read.is_ok() {
+                    sums.message(&data, &payload, None, notes);
                 }
-                Event::Footer { covered, crc } => {
-                    if let Some(found) = file.checksum(covered) {
-                        check_crc(notes, number, found, crc, "the summary fails its checksum");
-                    }
-                }
-                Event::Metadata { .. } => {}
             }
-        }
-        if !walker.go_on() {
-            break;
+            Event::DataEnd { offset, crc } => {
+                data_end = true;
+                sums.end_data(offset, crc, notes);
+            }
+            Event::Footer { covered, crc } => {
+                if let Some(found) = file.checksum(covered) {
+                    check_crc(notes, number, found, crc, "the summary fails its checksum");
+                }
+            }
+            Event::Metadata { .. } => {}
         }
     }
     sums.finish(notes);

@@ -392,7 +392,7 @@ fn killed_it_reads_up_to_the_last_chunk() {
         recording.frame(0, &meta, &message).expect("recorded");
     }
     // The second chunk is under way; wait for it, as a kernel would finish it.
-    recording.segments[0].segment.settle().expect("written");
+    recording.segments[0].segment.window().settle().expect("written");
     std::mem::forget(recording);
     let length = std::fs::metadata(path.join("segment-000.mcap")).expect("a segment").len();
     assert_eq!(length % 4096, 0, "whole blocks");
