@@ -6,6 +6,7 @@
 //! [`BLOCK`]. Where a file system refuses it, the same writes go through the page cache.
 
 use super::statistics::DiskAccess;
+use crate::host::realtime::soft_limit;
 use std::ffi::CString;
 use std::fs::{File, OpenOptions};
 use std::io::{self, IoSlice};
@@ -114,7 +115,10 @@ fn write_all_vectored_at(file: &File, mut offset: u64, mut parts: &mut [IoSlice<
             return Err(error);
         };
         let whole = written - written % BLOCK;
-        if whole == 0 && written > 0 && file_limit().is_some_and(|limit| offset + BLOCK as u64 > limit) {
+        if whole == 0
+            && written > 0
+            && soft_limit(libc::RLIMIT_FSIZE).is_some_and(|limit| offset + BLOCK as u64 > limit)
+        {
             // The next write would say so, if there were blocks small enough.
             return Err(io::Error::from_raw_os_error(libc::EFBIG));
         }
@@ -125,14 +129,6 @@ fn write_all_vectored_at(file: &File, mut offset: u64, mut parts: &mut [IoSlice<
         offset += whole as u64;
     }
     Ok(())
-}
-
-/// The length that a file of this process may have, if it is limited, bytes.
-fn file_limit() -> Option<u64> {
-    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
-    // SAFETY: `limit` is valid for writing for the duration of the call.
-    let code = unsafe { libc::getrlimit(libc::RLIMIT_FSIZE, &mut limit) };
-    (code == 0 && limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur)
 }
 
 /// Lets a write beyond the limit on file sizes fail with `EFBIG`, as any other write fails, instead of ending the process

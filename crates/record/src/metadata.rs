@@ -8,6 +8,7 @@ use super::layout::{
 use super::scan::{End, Entries, Event, MAX_MESSAGE, Walker};
 use super::segment_file::SegmentFile;
 use crate::base::ids::printable;
+use std::ops::Range;
 
 /// CRC-32 of a metadata record's entries, in the order of their keys: key, zero, value, zero. Its own entry is left out.
 pub(super) fn checksum<'a>(entries: impl IntoIterator<Item = (&'a str, &'a str)>) -> u32 {
@@ -115,6 +116,12 @@ pub(super) fn parse_header(entries: &Entries) -> Result<StatedHeader, String> {
     let number = segment.parse().map_err(|_| format!("segment number {segment:?} is not a number"))?;
     let version = stated.unwrap_or(VERSION);
     Ok(StatedHeader { header, number, version, proven: is_sound(entries) == Some(true) })
+}
+
+/// Where an index has a message: its offset and its length in the file.
+pub(super) fn place_of(offset: u64, length: u64) -> Option<Range<usize>> {
+    let (start, end) = (usize::try_from(offset).ok()?, usize::try_from(offset.checked_add(length)?).ok()?);
+    Some(start..end)
 }
 
 /// The index that a closed segment states, if it is intact.

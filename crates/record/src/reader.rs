@@ -10,7 +10,7 @@ use super::layout::{
     TriggerRecord, VERDICT_METADATA, VERSION,
 };
 use super::metadata::{
-    StatedHeader, foreign_reason, is_sound, of_most, parse_header, read_header, stated_index,
+    StatedHeader, foreign_reason, is_sound, of_most, parse_header, place_of, read_header, stated_index,
 };
 use super::scan::{End, Entries, Event, Walker, metadata_by_index, open_segment};
 use super::segment_file::{BadRange, SegmentFile};
@@ -313,10 +313,9 @@ impl RecordingReader {
         }
         let (place, number) = (self.segments.len(), segment.number);
         for (camera, trigger, offset, length) in index.frames {
-            let (Ok(offset), Ok(length)) = (usize::try_from(offset), usize::try_from(length)) else {
-                continue;
-            };
-            self.outcome(number, camera as usize, trigger, Outcome::Frame { segment: place, offset, length });
+            let Some(message) = place_of(offset, length) else { continue };
+            let outcome = Outcome::Frame { segment: place, offset: message.start, length: message.len() };
+            self.outcome(number, camera as usize, trigger, outcome);
         }
         index.gaps.iter().for_each(|gap| self.gap(number, gap));
         let rows = index.triggers.into_iter().flatten().map(TriggerRecord::of_row);

@@ -146,7 +146,7 @@ impl fmt::Display for Unreadable {
 }
 
 /// The recordings at `path` (a session, a recording or a segment) that can be read, with all small records; and those that
-/// cannot, which do not hide the others.
+/// cannot, which do not hide the others. An error where there is none that can.
 pub fn open_each(path: &Path) -> Result<(Vec<RecordingReader>, Vec<Unreadable>), ReadError> {
     open_extent(path, Extent::Everything)
 }
@@ -161,6 +161,10 @@ fn open_extent(path: &Path, what: Extent) -> Result<(Vec<RecordingReader>, Vec<U
                 unreadable.push(Unreadable { path: files.path, node, reason: error.to_string() });
             }
         }
+    }
+    if readable.is_empty() {
+        let reasons: Vec<&str> = unreadable.iter().map(|one| one.reason.as_str()).collect();
+        return Err(ReadError::Unreadable(reasons.join("\n")));
     }
     Ok((readable, unreadable))
 }
@@ -198,13 +202,13 @@ impl SessionReader {
     /// Opens a session's directory, one recording's directory, or one segment, and reads all small records. A recording that
     /// cannot be read does not hide the others, see [`Self::unreadable`]; an error where there is none that can.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        Self::of(path, open_extent(path, Extent::Everything)?)
+        open_extent(path, Extent::Everything).map(Self::of)
     }
 
     /// As [`Self::open`], but reads closed segments by their indexes only: much faster from a cold disk. Clock samples and
     /// events stay empty; so do trigger tables of versions that have none in their indexes.
     pub fn open_frames(path: &Path) -> Result<Self, ReadError> {
-        Self::of(path, open_extent(path, Extent::Outcomes)?)
+        open_extent(path, Extent::Outcomes).map(Self::of)
     }
 
     /// As [`Self::open_frames`], with trigger tables whatever version has written them.
@@ -215,16 +219,7 @@ impl SessionReader {
         if session.recordings.iter().any(untimed) { Self::open(path) } else { Ok(session) }
     }
 
-    fn of(
-        path: &Path,
-        (recordings, unreadable): (Vec<RecordingReader>, Vec<Unreadable>),
-    ) -> Result<Self, ReadError> {
-        if recordings.is_empty() {
-            let reasons: Vec<&str> = unreadable.iter().map(|one| one.reason.as_str()).collect();
-            let nothing = || format!("{}: nothing recorded here", path.display());
-            let told = if reasons.is_empty() { nothing() } else { reasons.join("\n") };
-            return Err(ReadError::Unreadable(told));
-        }
+    fn of((recordings, unreadable): (Vec<RecordingReader>, Vec<Unreadable>)) -> Self {
         let mut placed: Vec<(CameraId, Place)> = Vec::new();
         for (r, recording) in recordings.iter().enumerate() {
             let own = recording.header.cameras.iter().enumerate();
@@ -249,7 +244,7 @@ impl SessionReader {
         let triggers = start.unwrap_or(0).min(end)..end;
         let (cameras, places) = placed.into_iter().unzip();
         let times = TriggerTimes::of(&recordings);
-        Ok(Self { recordings, unreadable, lost, cameras, places, triggers, times })
+        Self { recordings, unreadable, lost, cameras, places, triggers, times }
     }
 
     /// The recordings, by node.

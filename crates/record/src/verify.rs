@@ -179,12 +179,6 @@ impl Notes {
 /// `progress` is called from several threads with the bytes done and the bytes in all.
 pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Report, ReadError> {
     let (readers, unreadable) = open_each(path)?;
-    if readers.is_empty() {
-        let nothing = || format!("{}: nothing recorded here", path.display());
-        return Err(ReadError::Unreadable(
-            unreadable.into_iter().next().map_or_else(nothing, |one| one.reason),
-        ));
-    }
     let single_segment = path.is_file();
     let length = |recording: &RecordingReader| -> u64 {
         recording.segments.iter().map(|segment| segment.length() as u64).sum()

@@ -8,8 +8,8 @@ use super::belonging::{Belonging, Label};
 use super::direct_io::{DirectFile, Store, sync_directory};
 use super::envelope::{FrameMeta, marked, parse_envelope};
 use super::layout::{
-    ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, VERSION,
-    segment_name,
+    CameraHeader, ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord,
+    VERSION, segment_name,
 };
 use super::noted::{Noted, REFUSED};
 use super::open_chunk::QUEUE;
@@ -266,10 +266,8 @@ impl Recording {
 
     /// The message must be the frame that `meta` and the header describe: otherwise a reader would refuse it.
     fn check_frame(&self, camera: usize, meta: &FrameMeta, message: &[u8]) -> Result<(), RecordError> {
+        let described = self.described(camera)?;
         let wrong = |reason: String| RecordError::Frame { camera, reason };
-        let Some(described) = self.header.cameras.get(camera) else {
-            return Err(wrong(format!("the recording has {} cameras", self.header.cameras.len())));
-        };
         let envelope = parse_envelope(message).map_err(|e| wrong(e.to_string()))?;
         if envelope.meta != *meta || envelope.camera != described.id.as_str() {
             return Err(wrong(format!(
@@ -281,25 +279,27 @@ impl Recording {
     }
 
     fn check_size(&self, camera: usize, meta: &FrameMeta) -> Result<(), RecordError> {
-        let wrong = |reason: String| RecordError::Frame { camera, reason };
-        let Some(described) = self.header.cameras.get(camera) else {
-            return Err(wrong(format!("the recording has {} cameras", self.header.cameras.len())));
-        };
+        let described = self.described(camera)?;
         if (meta.width, meta.height) != (described.width, described.height) {
-            return Err(wrong(format!(
+            let reason = format!(
                 "the frame is {} x {}, the header says {} x {}",
                 meta.width, meta.height, described.width, described.height
-            )));
+            );
+            return Err(RecordError::Frame { camera, reason });
         }
         Ok(())
     }
 
+    fn described(&self, camera: usize) -> Result<&CameraHeader, RecordError> {
+        self.header.cameras.get(camera).ok_or_else(|| {
+            let reason = format!("the recording has {} cameras", self.header.cameras.len());
+            RecordError::Frame { camera, reason }
+        })
+    }
+
     /// Records that `camera` has no frame for `trigger`. A second outcome is refused as in [`Self::frame`].
     pub fn gap(&mut self, camera: usize, trigger: TriggerIndex, cause: GapCause) -> Result<(), RecordError> {
-        let Some(id) = self.camera_id(camera) else {
-            let reason = format!("gap: the recording has {} cameras", self.tallies.len());
-            return Err(RecordError::Frame { camera, reason });
-        };
+        let id = self.described(camera)?.id.clone();
         if !self.accept(camera, trigger, |tally| tally.gap(trigger, cause)) {
             return Ok(());
         }
@@ -411,9 +411,8 @@ impl Recording {
         } else {
             format!("trigger {trigger} has an outcome already; the second one is not recorded")
         };
-        let (host_time_ns, kind) = (self.time_ns, REFUSED.to_owned());
-        let camera = self.camera_id(camera);
-        let event = NodeEvent { host_time_ns, kind, camera, trigger: Some(trigger), message };
+        let (camera, trigger) = (self.camera_id(camera), Some(trigger));
+        let event = NodeEvent { camera, trigger, ..NodeEvent::new(REFUSED, self.time_ns, message) };
         // A failure here shows again at the next record.
         let _ = self.event(&event);
         false

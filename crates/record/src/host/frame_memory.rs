@@ -8,7 +8,6 @@
 
 use super::realtime::{limit_text, soft_limit, warn};
 use crossbeam_channel::Sender;
-use std::alloc::{Layout, alloc_zeroed, dealloc, handle_alloc_error};
 use std::fmt;
 use std::io;
 use std::ptr::NonNull;
@@ -20,19 +19,14 @@ pub const ROOM_BYTES: usize = 4096;
 /// Size and alignment of a huge page on x86-64 and on arm64 with 4 KiB pages.
 const HUGE_PAGE: usize = 2 << 20;
 
-/// Memory of one or several blocks, freed with the last of them.
+/// An anonymous mapping that one or several blocks share; it is unmapped when the last of them is dropped.
 #[derive(Debug)]
 struct Region {
+    /// Where the blocks begin: a page, or a huge page where there is room for one.
     memory: NonNull<u8>,
-    source: Source,
-}
-
-#[derive(Debug)]
-enum Source {
-    /// An anonymous mapping: where it starts, before alignment, and its length.
-    Mapped { start: NonNull<u8>, length: usize },
-    /// The allocator.
-    Allocated(Layout),
+    /// Where the mapping begins, and its length.
+    start: NonNull<u8>,
+    length: usize,
 }
 
 // SAFETY: a region's memory is reached through its blocks only, each of which has bytes of its own.
@@ -41,54 +35,43 @@ unsafe impl Send for Region {}
 unsafe impl Sync for Region {}
 
 impl Region {
-    /// From the allocator; `None` where it has none.
-    fn allocate(bytes: usize) -> Option<Self> {
-        let layout = Layout::from_size_align(bytes, ROOM_BYTES)
-            .expect("invariant: a node's frames fit in half the address space");
-        // SAFETY: the layout's size is at least ROOM_BYTES, hence not zero.
-        let memory = unsafe { alloc_zeroed(layout) };
-        Some(Self { memory: NonNull::new(memory)?, source: Source::Allocated(layout) })
-    }
-
-    /// Maps memory that starts on a huge page's boundary; `None` where the system has none.
-    fn map(bytes: usize) -> Option<Self> {
-        let whole = bytes.checked_next_multiple_of(HUGE_PAGE)?;
-        let length = whole.checked_add(HUGE_PAGE)?;
+    /// Maps memory of zeros; from a huge page on it starts on a huge page's boundary.
+    fn map(bytes: usize) -> io::Result<Self> {
+        let align = if bytes < HUGE_PAGE { ROOM_BYTES } else { HUGE_PAGE };
+        let whole = bytes.checked_next_multiple_of(align);
+        let length = whole.and_then(|whole| whole.checked_add(align)).ok_or(io::ErrorKind::OutOfMemory)?;
         let protection = libc::PROT_READ | libc::PROT_WRITE;
         let flags = libc::MAP_PRIVATE | libc::MAP_ANONYMOUS;
         // SAFETY: a fresh anonymous mapping at an address of the kernel's choice touches nothing that exists.
         let start = unsafe { libc::mmap(std::ptr::null_mut(), length, protection, flags, -1, 0) };
-        if start == libc::MAP_FAILED {
-            return None;
-        }
-        let start = NonNull::new(start.cast::<u8>())?;
-        let offset = start.as_ptr().align_offset(HUGE_PAGE);
-        // SAFETY: the offset is less than a huge page, and the mapping is one huge page longer than `whole`.
+        let start =
+            NonNull::new(start.cast::<u8>()).filter(|start| start.as_ptr().cast() != libc::MAP_FAILED);
+        let start = start.ok_or_else(io::Error::last_os_error)?;
+        let offset = start.as_ptr().align_offset(align);
+        // SAFETY: the offset is less than the alignment, by which the mapping is longer than what is used of it.
         let memory = unsafe { start.add(offset) };
-        // SAFETY: the range lies in the mapping just made; the advice changes how it is backed, not what it holds.
-        // A kernel without huge pages refuses it, and ordinary pages serve.
-        unsafe { libc::madvise(memory.as_ptr().cast(), whole, libc::MADV_HUGEPAGE) };
-        Some(Self { memory, source: Source::Mapped { start, length } })
+        if align == HUGE_PAGE {
+            // SAFETY: the range lies in the mapping just made; the advice changes how it is backed, not what it holds.
+            // A kernel without huge pages refuses it, and ordinary pages serve.
+            unsafe { libc::madvise(memory.as_ptr().cast(), length - align, libc::MADV_HUGEPAGE) };
+        }
+        Ok(Self { memory, start, length })
     }
 
-    /// Keeps the pages in memory, whatever happens.
-    fn lock(&self, bytes: usize) -> std::io::Result<()> {
+    /// Locks the pages in memory.
+    fn lock(&self, bytes: usize) -> io::Result<()> {
         // SAFETY: the range lies in the region; locking changes nothing that it holds.
         match unsafe { libc::mlock(self.memory.as_ptr().cast(), bytes) } {
             0 => Ok(()),
-            _ => Err(std::io::Error::last_os_error()),
+            _ => Err(io::Error::last_os_error()),
         }
     }
 }
 
 impl Drop for Region {
     fn drop(&mut self) {
-        match self.source {
-            // SAFETY: mapped in `map` with this start and length, and no block is left. It also unlocks.
-            Source::Mapped { start, length } => drop(unsafe { libc::munmap(start.as_ptr().cast(), length) }),
-            // SAFETY: allocated in `allocate` with this layout, and no block is left.
-            Source::Allocated(layout) => unsafe { dealloc(self.memory.as_ptr(), layout) },
-        }
+        // SAFETY: mapped in `map` with this start and length, and no block is left. It also unlocks.
+        unsafe { libc::munmap(self.start.as_ptr().cast(), self.length) };
     }
 }
 
@@ -164,9 +147,9 @@ impl Pool {
 
     fn make(&self, sizes: Sizes, count: usize) -> io::Result<Vec<Block>> {
         let bytes = sizes.in_memory() * count;
-        let region = Region::map(bytes).or_else(|| Region::allocate(bytes)).ok_or_else(|| {
+        let region = Region::map(bytes).map_err(|error| {
             let message = format!(
-                "the system has no {} MiB of memory for {count} frames; lower acquisition.buffers_per_camera, or raise the \
+                "the system has no {} MiB of memory for {count} frames ({error}); lower acquisition.buffers_per_camera, or raise the \
                  limit on this process' memory",
                 bytes >> 20
             );
@@ -226,14 +209,12 @@ unsafe impl Send for Block {}
 unsafe impl Sync for Block {}
 
 impl Block {
-    /// Allocates a block of its own for `pixel_bytes` of pixels and touches every page.
+    /// Maps a block of its own for `pixel_bytes` of pixels and touches every page.
+    ///
+    /// # Panics
+    /// The system has no memory for it.
     pub fn allocate(pixel_bytes: usize) -> Self {
-        let bytes = block_bytes(pixel_bytes);
-        let layout = Layout::from_size_align(bytes, ROOM_BYTES);
-        let region = Region::allocate(bytes).unwrap_or_else(|| match layout {
-            Ok(layout) => handle_alloc_error(layout),
-            Err(error) => panic!("invariant: a frame fits in half the address space ({error})"),
-        });
+        let region = Region::map(block_bytes(pixel_bytes)).expect("memory for a frame");
         Self::cut(&Arc::new(region), 0, Sizes::new(pixel_bytes, pixel_bytes))
     }
 
@@ -255,7 +236,7 @@ impl Block {
 
     /// Room and what is received.
     fn whole(&self) -> &[u8] {
-        // SAFETY: the memory is initialized (both sources give zeros), `received` long and borrowed with self.
+        // SAFETY: the memory is initialized (the mapping is of zeros), `received` long and borrowed with self.
         unsafe { std::slice::from_raw_parts(self.memory.as_ptr(), self.sizes.received) }
     }
 
@@ -427,6 +408,6 @@ mod tests {
     fn mappings_start_on_a_huge_page() {
         let region = Region::map(3 * HUGE_PAGE + 1).expect("memory");
         assert_eq!(region.memory.as_ptr() as usize % HUGE_PAGE, 0);
-        assert!(Region::map(usize::MAX - 1).is_none());
+        assert!(Region::map(usize::MAX - 1).is_err());
     }
 }

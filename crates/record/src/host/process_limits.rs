@@ -5,6 +5,7 @@
 //! list that cannot grow. So nothing is begun that a limit has no room for. What the process had before its first session
 //! is what the rest is measured from: what a session leaves behind is used again by the next one.
 
+use super::memory::bytes_of;
 use super::realtime::soft_limit;
 use crate::base::{Exit, Fault, regular};
 use std::path::Path;
@@ -35,11 +36,7 @@ struct Counted {
 impl Counted {
     /// From the text of `/proc/self/status`.
     fn in_status(text: &str) -> Option<Self> {
-        let bytes = |key: &str| {
-            let line = text.lines().find_map(|line| line.strip_prefix(key))?;
-            line.trim().trim_end_matches("kB").trim().parse::<u64>().ok()?.checked_mul(1024)
-        };
-        Some(Self { address_space: bytes("VmSize:")?, data: bytes("VmData:")? })
+        Some(Self { address_space: bytes_of("VmSize:", text)?, data: bytes_of("VmData:", text)? })
     }
 }
 
@@ -84,25 +81,11 @@ fn refusal(at_start: Counted, limits: Limits, cores: u64, cameras: u64, frame_by
     let common = (REST_BYTES + threads * STACK_BYTES).saturating_add(frame_bytes);
     let arenas = threads.min(ARENAS_PER_CORE * cores) * ARENA_BYTES;
     let of = [
-        (
-            "RLIMIT_AS",
-            "LimitAS",
-            "ulimit -v",
-            limits.address_space,
-            at_start.address_space,
-            common.saturating_add(arenas),
-        ),
-        (
-            "RLIMIT_DATA",
-            "LimitDATA",
-            "ulimit -d",
-            limits.data,
-            at_start.data,
-            common.saturating_add(threads * HEAP_BYTES),
-        ),
+        (["RLIMIT_AS", "LimitAS", "ulimit -v"], limits.address_space, at_start.address_space, arenas),
+        (["RLIMIT_DATA", "LimitDATA", "ulimit -d"], limits.data, at_start.data, threads * HEAP_BYTES),
     ];
-    of.into_iter().find_map(|(name, unit, shell, limit, had, more)| {
-        let (limit, needed) = (limit?, had.saturating_add(more));
+    of.into_iter().find_map(|([name, unit, shell], limit, had, more)| {
+        let (limit, needed) = (limit?, had.saturating_add(common.saturating_add(more)));
         (limit < needed).then(|| {
             format!(
                 "{name} lets this process have {} MiB, expected at least {} MiB for a session of {cameras} cameras, {} MiB of \

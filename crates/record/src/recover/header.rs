@@ -4,7 +4,7 @@
 //! A segment's header has a checksum of its own (`crc32`), those of older recordings only the data section's, which only a
 //! closed segment has. Frames do not depend on it: their envelopes say which camera they are of.
 
-use super::salvage::SegmentScan;
+use super::salvage::{SegmentScan, SmallRecord};
 use crate::base::ids::{CameraId, NodeId, SessionName};
 use crate::layout::{CameraHeader, HsuIdentity, KEY_RIG, MAX_CAMERAS, RecordingHeader};
 use crate::metadata::{StatedHeader, of_most};
@@ -58,7 +58,8 @@ fn corrected(mut header: RecordingHeader, scans: &[SegmentScan]) -> RecordingHea
 
 /// Whether an HSU counted the triggers: images that were imported have neither a trigger table nor readings of clocks.
 fn has_hsu(scans: &[SegmentScan]) -> bool {
-    scans.iter().any(|scan| !scan.triggers.is_empty() || !scan.clock_samples.is_empty())
+    let of_hsu = |record: &SmallRecord| matches!(record, SmallRecord::Trigger(_) | SmallRecord::Clock(_));
+    scans.iter().flat_map(|scan| &scan.records).any(|one| of_hsu(&one.record))
 }
 
 /// A header from what is left: entries of the damaged one, the frames, the trigger table, the directory's name.
@@ -72,7 +73,6 @@ pub fn rebuilt(path: &Path, scans: &[SegmentScan]) -> Option<RecordingHeader> {
     let node = NodeId(safe(node).unwrap_or_else(|| "unknown".to_owned()));
     let rig_text = entry(KEY_RIG).unwrap_or_default();
     let cameras = cameras_from_frames(&rig_text, scans)?;
-    let rows: Vec<_> = scans.iter().flat_map(|scan| &scan.triggers).map(|row| &row.record).collect();
     let header = RecordingHeader {
         session: SessionName(safe(session).unwrap_or_else(|| "unknown".to_owned())),
         session_id: entry("session_id").unwrap_or_default(),
@@ -82,7 +82,12 @@ pub fn rebuilt(path: &Path, scans: &[SegmentScan]) -> Option<RecordingHeader> {
         expected_triggers: None,
         trigger_rate_hz: rate(&rig_text, scans),
         host_clock: "unknown".to_owned(),
-        created_ns: rows.iter().map(|row| row.host_time_ns).min().unwrap_or(0),
+        created_ns: scans
+            .iter()
+            .flat_map(SegmentScan::triggers)
+            .map(|row| row.host_time_ns)
+            .min()
+            .unwrap_or(0),
         software: "unknown".to_owned(),
         subject: None,
         note: None,
@@ -118,7 +123,7 @@ fn rate(rig_text: &str, scans: &[SegmentScan]) -> f64 {
     if let Ok(rig) = parse_rig(rig_text) {
         return rig.trigger_rate_hz;
     }
-    let rows = || scans.iter().flat_map(|scan| &scan.triggers).map(|row| &row.record);
+    let rows = || scans.iter().flat_map(SegmentScan::triggers);
     let (Some(first), Some(last)) = (rows().min_by_key(|row| row.index), rows().max_by_key(|row| row.index))
     else {
         return 0.0;

@@ -2,7 +2,7 @@
 //! One recording's segments together: which header to believe, one outcome for each camera and trigger, and how
 //! the session ended.
 
-use super::salvage::{Labelled, SegmentScan, scan};
+use super::salvage::{Labelled, SegmentScan, SmallRecord, scan};
 use super::{Damage, RecoverError, header};
 use crate::base::ids::TriggerIndex;
 use crate::belonging::{Belonging, SessionMark};
@@ -233,10 +233,7 @@ impl Salvage {
         scan.frames.retain(|frame| belonging.admits(frame.session));
         scan.damaged_frames.retain(|(_, _, session)| belonging.admits(*session));
         let (frames, mut records) = (before - scan.frames.len(), 0);
-        let gaps = self.own(scan.gaps, &mut records);
-        let triggers = self.own(scan.triggers, &mut records);
-        let clock_samples = self.own(scan.clock_samples, &mut records);
-        let events = self.own(scan.events, &mut records);
+        let small = self.own(scan.records, &mut records);
         let verdict = self.own(scan.verdict.into_iter().collect(), &mut records).pop();
         let statistics = self.own(scan.statistics.into_iter().collect(), &mut records).pop();
         if frames > 0 || records > 0 {
@@ -272,21 +269,26 @@ impl Salvage {
                 self.damaged[camera].insert(trigger);
             }
         }
-        for gap in gaps {
-            let camera = self.header.cameras.iter().position(|camera| camera.id == gap.camera);
-            if let Some(camera) = camera.filter(|_| gap.trigger.0 < MAX_TRIGGERS) {
-                self.outcomes[camera].entry(gap.trigger.0).or_insert(Outcome::Gap(gap.cause));
+        for record in small {
+            match record {
+                SmallRecord::Gap(gap) => {
+                    let camera = self.header.cameras.iter().position(|camera| camera.id == gap.camera);
+                    if let Some(camera) = camera.filter(|_| gap.trigger.0 < MAX_TRIGGERS) {
+                        self.outcomes[camera].entry(gap.trigger.0).or_insert(Outcome::Gap(gap.cause));
+                    }
+                }
+                SmallRecord::Trigger(row) if row.index.0 < MAX_TRIGGERS => {
+                    self.triggers.entry(row.index.0).or_insert(row);
+                }
+                SmallRecord::Trigger(_) => {}
+                SmallRecord::Clock(sample) => self.clock_samples.push(sample),
+                SmallRecord::Event(event) => self.events.push(event),
             }
         }
-        for row in triggers.into_iter().filter(|row| row.index.0 < MAX_TRIGGERS) {
-            self.triggers.entry(row.index.0).or_insert(row);
-        }
-        self.clock_samples.extend(clock_samples);
-        self.events.extend(events);
         if let Some(verdict) =
             verdict.filter(|verdict| scan.proven || scan.verdict_proven || self.agrees(verdict))
         {
-            self.records = scan.records.unwrap_or(0);
+            self.records = scan.stated_records.unwrap_or(0);
             self.verdict = Some(verdict);
         }
         self.statistics = statistics.or(self.statistics);

@@ -12,7 +12,7 @@ use crate::layout::{
     ClockSample, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_LENGTH, KEY_JSON,
     KEY_RECORDS, NodeEvent, SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
 };
-use crate::metadata::{StatedHeader, is_sound, parse_header, parse_index};
+use crate::metadata::{StatedHeader, is_sound, parse_header, parse_index, place_of};
 use crate::scan::{
     End, Entries, Event, Found, MAX_MESSAGE, MESSAGE_HEADER, Walker, budget, find, is_json, metadata_by_index,
 };
@@ -21,6 +21,7 @@ use crate::statistics::WriteStatistics;
 use crate::verdict::Verdict;
 use crc32fast::Hasher;
 use serde::Deserialize;
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 /// What it costs to look at something found once more, in bytes of the budget.
@@ -72,18 +73,12 @@ pub struct SegmentScan {
     pub frames: Vec<FoundFrame>,
     /// Camera and trigger of frames whose envelope is whole and whose pixels are not.
     pub damaged_frames: Vec<(usize, u64, Option<SessionMark>)>,
-    /// In the order of the file; then those that only the index has.
-    pub gaps: Vec<Labelled<GapRecord>>,
-    /// In the order of the file.
-    pub triggers: Vec<Labelled<TriggerRecord>>,
-    /// In the order of the file.
-    pub clock_samples: Vec<Labelled<ClockSample>>,
-    /// In the order of the file.
-    pub events: Vec<Labelled<NodeEvent>>,
+    /// In the order of the file; then gap records that only the index has.
+    pub records: Vec<Labelled<SmallRecord>>,
     /// As stored.
     pub verdict: Option<Labelled<Verdict>>,
-    /// Small records of the recording, as the verdict's metadata states them.
-    pub records: Option<u64>,
+    /// How many small records the recording has, as the verdict's metadata states it.
+    pub stated_records: Option<u64>,
     /// Whether the verdict's own checksum is right.
     pub verdict_proven: bool,
     /// As stored, if its own checksum is right.
@@ -97,11 +92,21 @@ pub struct SegmentScan {
 /// The small records, told apart by their fields, of which no two kinds have the same.
 #[derive(Deserialize)]
 #[serde(untagged)]
-enum SmallRecord {
+pub enum SmallRecord {
     Gap(GapRecord),
     Trigger(TriggerRecord),
     Clock(ClockSample),
     Event(NodeEvent),
+}
+
+impl SegmentScan {
+    /// The rows of the trigger table.
+    pub fn triggers(&self) -> impl Iterator<Item = &TriggerRecord> {
+        self.records.iter().filter_map(|one| match &one.record {
+            SmallRecord::Trigger(row) => Some(row),
+            _ => None,
+        })
+    }
 }
 
 /// Scans a segment. `advance` is told the bytes done.
@@ -313,12 +318,7 @@ impl<'a> Scanner<'a> {
         let label = Label::of(&payload);
         match serde_json::from_slice(&payload) {
             Ok(_) if !trusted => self.found.records_lost += 1,
-            Ok(SmallRecord::Gap(gap)) => self.found.gaps.push(Labelled { label, record: gap }),
-            Ok(SmallRecord::Trigger(row)) => self.found.triggers.push(Labelled { label, record: row }),
-            Ok(SmallRecord::Clock(sample)) => {
-                self.found.clock_samples.push(Labelled { label, record: sample })
-            }
-            Ok(SmallRecord::Event(event)) => self.found.events.push(Labelled { label, record: event }),
+            Ok(record) => self.found.records.push(Labelled { label, record }),
             // The index, and records of later versions.
             Err(_) if trusted => {}
             // Its length may be what is damaged.
@@ -403,7 +403,7 @@ impl<'a> Scanner<'a> {
             VERDICT_METADATA => {
                 let json = entries.get(KEY_JSON).map(String::as_str).unwrap_or_default();
                 self.found.verdict = serde_json::from_str(json).ok().map(|record| Labelled { label, record });
-                self.found.records = number(KEY_RECORDS);
+                self.found.stated_records = number(KEY_RECORDS);
                 self.found.verdict_proven = is_sound(entries) == Some(true);
             }
             STATISTICS_METADATA if is_sound(entries) == Some(true) => {
@@ -421,36 +421,35 @@ impl<'a> Scanner<'a> {
         // A segment has one index. A file may name one over and over, and frames in it that lie over each other.
         let length = entries.get(KEY_INDEX_LENGTH).and_then(|text| text.parse().ok()).unwrap_or(0);
         self.look_at(self.file.len().min(length));
-        self.look_at(FOUND_BYTES * (self.found.frames.len() + self.found.gaps.len()));
+        self.look_at(FOUND_BYTES * (self.found.frames.len() + self.found.records.len()));
         if self.budget == 0 {
             return self.damage(0..0, INDEXED_OVER_AND_OVER.to_owned());
         }
         let Some(index) = parse_index(self.file, entries) else { return };
-        let known: std::collections::BTreeSet<usize> =
-            self.found.frames.iter().map(|frame| frame.message.start).collect();
-        for (_, _, offset, length) in index.frames {
-            let (Ok(offset), Ok(length)) = (usize::try_from(offset), usize::try_from(length)) else {
-                continue;
-            };
-            let Some(end) =
-                offset.checked_add(length).filter(|end| *end <= self.file.len() && length <= MAX_MESSAGE)
-            else {
-                continue;
-            };
-            if !known.contains(&offset) {
-                self.look_at(length.max(FOUND_BYTES));
+        let known: BTreeSet<usize> = self.found.frames.iter().map(|frame| frame.message.start).collect();
+        for message in index.frames.iter().filter_map(|(_, _, offset, length)| place_of(*offset, *length)) {
+            let possible = message.end <= self.file.len() && message.len() <= MAX_MESSAGE;
+            if possible && !known.contains(&message.start) {
+                self.look_at(message.len().max(FOUND_BYTES));
                 if self.budget == 0 {
                     return self.damage(0..0, INDEXED_OVER_AND_OVER.to_owned());
                 }
                 // What is wrong with it has been noted on the way, if it is not whole.
                 self.checked = false;
-                let _ = self.frame(offset..end);
+                let _ = self.frame(message);
             }
         }
-        let known: std::collections::BTreeSet<_> =
-            self.found.gaps.iter().map(|gap| (gap.record.camera.clone(), gap.record.trigger)).collect();
+        let known: BTreeSet<_> = self
+            .found
+            .records
+            .iter()
+            .filter_map(|one| match &one.record {
+                SmallRecord::Gap(gap) => Some((gap.camera.clone(), gap.trigger)),
+                _ => None,
+            })
+            .collect();
         let more = index.gaps.into_iter().filter(|gap| !known.contains(&(gap.camera.clone(), gap.trigger)));
         let label = Label::of_entries(entries);
-        self.found.gaps.extend(more.map(|record| Labelled { label, record }));
+        self.found.records.extend(more.map(|gap| Labelled { label, record: SmallRecord::Gap(gap) }));
     }
 }
