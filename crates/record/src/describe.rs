@@ -4,12 +4,13 @@
 //! Nothing is checked here that opening a recording does not check; that is [`super::verify`].
 
 mod actions;
+mod sheet;
 
 pub use actions::{ActionDescription, PtpDescription, actions, ptp};
+pub use sheet::{Sheet, Table};
 
 use super::layout::{CameraHeader, ClockSample, GapCause};
 use super::reader::{Outcome, RecordingReader, SegmentReader};
-use super::scan::End;
 use super::time_code::TimeCodeLine;
 use crate::base::clock_fit::{ClockFit, Exchange, RESET_RUN};
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -245,22 +246,15 @@ fn clock(device: Option<&CameraId>, samples: &[ClockSample]) -> Option<ClockDesc
 /// The segments, in order.
 pub fn segments(recording: &RecordingReader) -> Vec<SegmentDescription> {
     let ends = frames_ends(recording);
-    let describe = |(place, segment): (usize, &SegmentReader)| {
-        let broken = match &segment.end {
-            End::Closed => None,
-            End::Cut { at } => Some(format!("not closed, usable up to byte {at}")),
-            End::Damaged { at, reason } => Some(format!("damaged at byte {at}: {reason}")),
-        };
-        SegmentDescription {
-            number: segment.number,
-            path: segment.path.clone(),
-            bytes: segment.length() as u64,
-            first_trigger: segment.first_trigger,
-            end_trigger: segment.end_trigger,
-            frames_end: ends.get(place).copied().flatten(),
-            closed: segment.is_closed(),
-            broken,
-        }
+    let describe = |(place, segment): (usize, &SegmentReader)| SegmentDescription {
+        number: segment.number,
+        path: segment.path.clone(),
+        bytes: segment.length() as u64,
+        first_trigger: segment.first_trigger,
+        end_trigger: segment.end_trigger,
+        frames_end: ends.get(place).copied().flatten(),
+        closed: segment.is_closed(),
+        broken: segment.broken(),
     };
     recording.segments.iter().enumerate().map(describe).collect()
 }
@@ -308,7 +302,7 @@ pub fn missing(recording: &RecordingReader) -> Vec<String> {
     }
     for segment in segments(recording) {
         if let Some(broken) = segment.broken {
-            lines.push(format!("segment {}: {broken} of {}", segment.number, segment.bytes));
+            lines.push(format!("segment {}: {broken}", segment.number));
         }
     }
     for segment in &recording.segments {

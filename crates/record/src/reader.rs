@@ -73,6 +73,15 @@ impl SegmentReader {
         self.end == End::Closed
     }
 
+    /// How far its records go and what is there, if it does not end as a closed segment does.
+    pub fn broken(&self) -> Option<String> {
+        match &self.end {
+            End::Closed => None,
+            End::Cut { at } => Some(format!("not closed, usable up to byte {at} of {}", self.length())),
+            End::Damaged { at, reason } => Some(format!("damaged at byte {at}: {reason}")),
+        }
+    }
+
     /// Its length when it was opened, bytes.
     pub fn length(&self) -> usize {
         self.file.as_ref().map_or(0, SegmentFile::len)

@@ -2,6 +2,7 @@
 //! The plot of a history of checks, SVG: how far each device has moved what it sees, over time.
 
 use super::history::{Checked, Verdict};
+use crate::base::time::day;
 use crate::report::{COLOURS, escape};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -174,28 +175,5 @@ impl<'a> Plot<'a> {
                 "<path d=\"{line}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"{dashes}/>"
             );
         }
-    }
-}
-
-/// The day of a host time, UTC: years, months and days of the Gregorian calendar, counted from a first of March.
-fn day(ns: u64) -> String {
-    let days = ns / 86_400_000_000_000 + 719_468;
-    let (era, of_era) = (days / 146_097, days % 146_097);
-    let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month = (5 * of_year + 2) / 153;
-    let (day, month) = (of_year - (153 * month + 2) / 5 + 1, if month < 10 { month + 3 } else { month - 9 });
-    format!("{}-{month:02}-{day:02}", era * 400 + year_of_era + u64::from(month <= 2))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::day;
-
-    #[test]
-    fn days_are_those_of_the_calendar() {
-        let of = |s: u64| day(s * 1_000_000_000);
-        assert_eq!([of(0), of(951_782_400), of(1_735_689_599)], ["1970-01-01", "2000-02-29", "2024-12-31"]);
-        assert_eq!([of(1_740_787_200), of(1_735_689_600)], ["2025-03-01", "2025-01-01"]);
     }
 }

@@ -15,7 +15,7 @@ use crate::batch::summary::TriggerSummary;
 use crate::data::FrameSource;
 use crate::preview::quick_look::{POINTS_MAX, encode};
 use crate::preview::{Exposure, Light, Peaks, measure, upright_png};
-use crate::record::describe::{self, CameraDescription, EventKind, TimeCodeDescription};
+use crate::record::describe::{self, CameraDescription, Sheet};
 use crate::record::{
     GapRun, ReadError, RecordingReader, SessionReader, Unreadable, Verdict, WriteStatistics,
 };
@@ -52,14 +52,8 @@ pub struct NodeReport {
     pub verdict: Option<Verdict>,
     /// How the disk kept up.
     pub statistics: Option<WriteStatistics>,
-    /// How long frames took, in the recorder's words.
-    pub latencies: Option<String>,
-    /// What happened, by kind.
-    pub events: Vec<EventKind>,
-    /// The triggers' time code, where there was any.
-    pub time_code: Option<TimeCodeDescription>,
-    /// What is missing or wrong.
-    pub missing: Vec<String>,
+    /// Its recording as `fourdbody info` describes it.
+    pub sheet: Sheet,
     /// Its cameras.
     pub cameras: Vec<CameraReport>,
 }
@@ -119,8 +113,6 @@ pub fn gather(session: &Path, result: Option<&Path>) -> Result<Report, ReadError
 }
 
 fn node(recording: &RecordingReader, points: &[Points]) -> NodeReport {
-    let events = describe::events(recording);
-    let latencies = events.iter().find(|event| event.kind == "latency").map(|e| e.first_message.clone());
     let gaps = recording.gap_runs();
     let cameras = describe::cameras(recording).into_iter().zip(gaps).enumerate();
     NodeReport {
@@ -128,10 +120,7 @@ fn node(recording: &RecordingReader, points: &[Points]) -> NodeReport {
         path: recording.path.clone(),
         verdict: recording.verdict.clone(),
         statistics: recording.statistics,
-        latencies,
-        time_code: describe::time_code(recording),
-        missing: describe::missing(recording),
-        events: events.into_iter().filter(|event| event.kind != "latency").collect(),
+        sheet: Sheet::of(recording),
         cameras: cameras
             .map(|(place, (described, gaps))| {
                 let samples = samples(recording, place);

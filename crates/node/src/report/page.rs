@@ -4,6 +4,7 @@
 use super::{CameraReport, NodeReport, Report};
 use crate::play::Sequence;
 use crate::record::Status;
+use crate::record::describe::{Sheet, Table};
 use crate::telemetry::Grade;
 use crate::telemetry::thresholds::{DURABLE_P99, WRITE_P99};
 use base64::Engine;
@@ -74,19 +75,16 @@ pub fn render(report: &Report, playing: Option<&Playing>) -> String {
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
          <title>{title} - fourdbody</title><style>{STYLE}</style></head><body>\n\
-         <h1>{title} <span class=\"{kind}\">{word}</span></h1>\n<dl class=\"facts\">"
+         <h1>{title} <span class=\"{kind}\">{word}</span></h1>\n"
     );
     let seconds = report.triggers as f64 / report.trigger_rate_hz.max(1e-9);
-    let facts = [
+    let of_session = [
         ("begun", format!("<time data-ns=\"{}\"></time>", report.created_ns)),
         ("subject", escape(report.subject.as_deref().unwrap_or("-"))),
         ("note", escape(report.note.as_deref().unwrap_or("-"))),
         ("triggers", format!("{} at {} Hz: {seconds:.2} s", report.triggers, report.trigger_rate_hz)),
     ];
-    for (name, value) in facts {
-        let _ = write!(page, "<dt>{name}</dt><dd>{value}</dd>");
-    }
-    page.push_str("</dl>\n");
+    facts(&mut page, of_session.into_iter());
     match (playing, &report.cloud) {
         (Some(playing), _) => player(&mut page, report.trigger_rate_hz, playing),
         (None, Some((trigger, points))) => {
@@ -179,34 +177,16 @@ fn verdict(report: &Report) -> (&'static str, &'static str) {
 
 fn node_section(page: &mut String, report: &Report, node: &NodeReport) {
     let _ = write!(page, "<section><h2>Node {}</h2>", escape(&node.node));
-    if let Some(verdict) = &node.verdict {
-        let _ = write!(page, "<pre>{}</pre>", escape(&verdict.to_string()));
-    }
-    if !node.missing.is_empty() {
-        let _ = write!(page, "<pre class=\"bad\">{}</pre>", escape(&node.missing.join("\n")));
-    }
-    if let Some(time_code) = &node.time_code {
-        let _ = write!(page, "<p>Time code {}.</p>", escape(&time_code.to_string()));
+    facts(page, node.sheet.facts.iter().map(|(name, value)| (*name, escape(value))));
+    if !node.sheet.missing.is_empty() {
+        let _ = write!(page, "<pre class=\"bad\">{}</pre>", escape(&node.sheet.missing.join("\n")));
     }
     page.push_str("<h3>Frames over the session</h3>");
     node.cameras.iter().for_each(|camera| timeline(page, report.triggers, camera));
     page.push_str("<h3>Light</h3><div class=\"cameras\">");
     node.cameras.iter().for_each(|camera| camera_box(page, camera));
-    page.push_str("</div><h3>How long frames took</h3>");
-    latencies(page, node);
-    if !node.events.is_empty() {
-        page.push_str("<h3>Events</h3><table><tr><th>kind</th><th>count</th><th>first at trigger</th><th>first</th></tr>");
-        for event in &node.events {
-            let trigger = event.first_trigger.map_or("-".to_owned(), |trigger| trigger.to_string());
-            let (kind, message) = (escape(&event.kind), escape(&event.first_message));
-            let _ = write!(
-                page,
-                "<tr><td>{kind}</td><td>{}</td><td>{trigger}</td><td>{message}</td></tr>",
-                event.count
-            );
-        }
-        page.push_str("</table>");
-    }
+    page.push_str("</div>");
+    node.sheet.tables.iter().for_each(|sheet| table(page, node, sheet));
     let _ = writeln!(page, "<p class=\"soft\">{}</p></section>", escape(&node.path.display().to_string()));
 }
 
@@ -291,28 +271,33 @@ fn sparkline(counts: &[u64], most: u64) -> String {
     )
 }
 
-fn latencies(page: &mut String, node: &NodeReport) {
-    if let Some(text) = &node.latencies {
-        let _ = write!(page, "<pre>{}</pre>", escape(&text.replace("; ", "\n")));
+/// Names and values, which are HTML.
+fn facts<'a>(page: &mut String, facts: impl Iterator<Item = (&'a str, String)>) {
+    page.push_str("<dl class=\"facts\">");
+    for (name, value) in facts {
+        let _ = write!(page, "<dt>{name}</dt><dd>{value}</dd>");
     }
-    let Some(statistics) = &node.statistics else { return };
-    page.push_str("<table><tr><th></th><th>half of the frames</th><th>99 of 100</th><th>longest</th></tr>");
-    let rows = [
-        ("until in the file", statistics.written, WRITE_P99),
-        ("until it survives a power cut", statistics.durable, DURABLE_P99),
-    ];
-    for (name, latency, threshold) in rows {
-        let ms = |us: u64| us as f64 / 1e3;
-        let grade = class(threshold.grade(ms(latency.p99_us)));
-        let _ = write!(
-            page,
-            "<tr><td>{name}</td><td>{:.1} ms</td><td class=\"{grade}\">{:.1} ms</td><td>{:.1} ms</td></tr>",
-            ms(latency.p50_us),
-            ms(latency.p99_us),
-            ms(latency.max_us)
-        );
+    page.push_str("</dl>\n");
+}
+
+/// A table of the sheet; the 99th percentiles of the disk's latencies are graded.
+fn table(page: &mut String, node: &NodeReport, table: &Table) {
+    let grades = node.statistics.filter(|_| table.title == Sheet::DISK).map(|statistics| {
+        let latencies = [(statistics.written, WRITE_P99), (statistics.durable, DURABLE_P99)];
+        latencies.map(|(latency, threshold)| class(threshold.grade(latency.p99_us as f64 / 1e3)))
+    });
+    let _ = write!(page, "<h3>{}</h3><table><tr>", table.title);
+    for name in table.head {
+        let _ = write!(page, "<th>{name}</th>");
     }
-    page.push_str("</table>");
+    for (number, row) in table.rows.iter().enumerate() {
+        page.push_str("</tr><tr>");
+        for (column, cell) in row.iter().enumerate() {
+            let grade = grades.and_then(|grades| grades.get(number).copied()).filter(|_| column == 2);
+            let _ = write!(page, "<td class=\"{}\">{}</td>", grade.unwrap_or_default(), escape(cell));
+        }
+    }
+    page.push_str("</tr></table>");
 }
 
 fn class(grade: Grade) -> &'static str {
@@ -342,6 +327,7 @@ fn escape(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::render;
+    use crate::record::describe::Sheet;
     use crate::record::{Advice, Status, Verdict};
     use crate::report::{NodeReport, Report};
 
@@ -380,10 +366,7 @@ mod tests {
             path: "/walk/node-a".into(),
             verdict: status.map(verdict),
             statistics: None,
-            latencies: None,
-            events: Vec::new(),
-            time_code: None,
-            missing: Vec::new(),
+            sheet: Sheet::default(),
             cameras: Vec::new(),
         }
     }

@@ -260,7 +260,7 @@ fn note_end(
             let excused = recording.events.iter().any(|event| event.gives_up(segment.number));
             let is_last = recording.segments.last().is_some_and(|last| last.number == segment.number);
             let severity = if excused && !is_last { Severity::Loss } else { Severity::Corrupt };
-            let message = format!("was not closed: usable up to byte {at} of {}", segment.length());
+            let message = format!("not closed, usable up to byte {at} of {}", segment.length());
             notes.add(severity, number, None, None, message);
         }
         End::Damaged { at, reason } => {
