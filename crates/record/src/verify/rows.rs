@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Triggers in a row: so that a fault which lasts is one finding.
 
+use super::table::ms;
 use super::witnesses::Frame;
+use super::{Notes, Severity};
+use crate::base::ids::CameraId;
 
 /// The recorded triggers of frames.
 pub fn range_of(frames: &[Frame]) -> Option<(u64, u64)> {
@@ -21,6 +24,13 @@ impl Rows {
         match self.0.last_mut() {
             Some(((_, last), _)) if *last + 1 == trigger => *last = trigger,
             _ => self.0.push(((trigger, trigger), ns)),
+        }
+    }
+
+    /// A finding for each row: data is corrupt. The message is made of the first one's time, ms.
+    pub fn note(self, camera: Option<&CameraId>, notes: &mut Notes, message: impl Fn(f64) -> String) {
+        for (range, ns) in self.0 {
+            notes.add(Severity::Corrupt, None, camera, Some(range), message(ms(ns)));
         }
     }
 }

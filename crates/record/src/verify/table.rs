@@ -166,26 +166,18 @@ impl Table {
                 silent.add(number, step);
             }
         }
-        for (range, step) in close.0 {
-            let message = if step <= 0 {
-                format!("HSU time is not after that of the trigger before: {step} ns")
-            } else {
-                format!(
-                    "fired {:.3} ms after the trigger before; expected at least 7/8 of a period of {:.3} ms",
-                    ms(step),
-                    ms(period)
-                )
-            };
-            notes.add(Severity::Corrupt, None, None, Some(range), message);
-        }
-        for (range, step) in silent.0 {
-            let message = format!(
-                "fired {:.3} ms after the trigger before, and the HSU did not call it late; expected a period of {:.3} ms",
-                ms(step),
-                ms(period)
-            );
-            notes.add(Severity::Corrupt, None, None, Some(range), message);
-        }
+        let period = ms(period);
+        close.note(None, notes, |step| {
+            format!(
+                "fired {step:.3} ms after the trigger before; expected at least 7/8 of a period of {period:.3} ms"
+            )
+        });
+        silent.note(None, notes, |step| {
+            format!(
+                "fired {step:.3} ms after the trigger before, and the HSU did not flag it as late; expected a period of \
+                 {period:.3} ms"
+            )
+        });
     }
 
     fn check_flags(&self, recording: &RecordingReader, notes: &mut Notes) {
@@ -228,13 +220,12 @@ impl Table {
             quickest = quickest.min(way - fired.open_ns);
             heard += 1;
         }
-        for (range, way) in early.0 {
-            let message = format!(
-                "reported {:.3} ms before it was fired, by the recorded readings of the HSU's clock",
-                ms(-way)
-            );
-            notes.add(Severity::Corrupt, None, None, Some(range), message);
-        }
+        early.note(None, notes, |way| {
+            let before = -way;
+            format!(
+                "reported {before:.3} ms before it was fired, by the recorded readings of the HSU's clock"
+            )
+        });
         if heard >= REPORTS && quickest > self.period_ns * 3 / 4 {
             let message = format!(
                 "the quickest of {heard} reports came {:.3} ms after its trigger: the trigger times, or the readings of \

@@ -254,27 +254,19 @@ impl Camera<'_> {
                 behind.add(frame.number, arrived - self.table.last_ns);
             }
         }
-        for (range, by) in behind.0 {
-            let message = format!(
-                "not the frames of this session: arrived {:.3} ms after everything else was recorded",
-                ms(by)
-            );
-            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
-        }
-        for (range, way) in early.0 {
-            let message = format!(
-                "not the frames of these triggers: arrived {:.3} ms before the trigger was fired",
-                ms(-way)
-            );
-            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
-        }
-        for (range, by) in back.0 {
-            let message = format!(
-                "arrived {:.3} ms before a frame of an earlier trigger: one of them is not of its trigger",
-                ms(-by)
-            );
-            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
-        }
+        behind.note(Some(self.id), notes, |by| {
+            format!("not the frames of this session: arrived {by:.3} ms after everything else was recorded")
+        });
+        early.note(Some(self.id), notes, |way| {
+            let before = -way;
+            format!("not the frames of these triggers: arrived {before:.3} ms before the trigger was fired")
+        });
+        back.note(Some(self.id), notes, |by| {
+            let before = -by;
+            format!(
+                "arrived {before:.3} ms before a frame of an earlier trigger: one of them is not of its trigger"
+            )
+        });
     }
 
     /// The beginning: a stamp lies between trigger and arrival, and the rhythm of the warm-up tells which trigger it is. Where
