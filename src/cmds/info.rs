@@ -33,7 +33,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
+/// Describes the recordings at the path; returns the exit code.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let (recordings, unreadable) = open_each(&args.path)?;
     if args.json {

@@ -33,7 +33,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
+/// Verifies each path; returns the worst exit code.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut exit = Exit::Done;
     let mut reports = Vec::new();

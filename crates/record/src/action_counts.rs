@@ -11,13 +11,11 @@ pub const ACTION_COMMANDS: &str = "action_commands";
 /// Counts of one camera; those of the warm-up are among them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct ActionCounts {
-    /// Commands sent.
     pub sent: u64,
     /// Those that the camera took in time.
     pub acknowledged: u64,
     /// Those that it took after their time.
     pub late: u64,
-    /// Those that it refused.
     pub refused: u64,
     /// Those that it did not answer.
     pub unanswered: u64,

@@ -71,7 +71,6 @@ struct Distances {
     last: Option<u64>,
     count: u64,
     sum: u64,
-    /// Of their squares.
     squares: u128,
     /// By distance; at 0 those that are longer.
     of: [u64; DISTANCES],

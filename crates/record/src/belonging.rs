@@ -32,7 +32,6 @@ impl fmt::Display for SessionMark {
 /// What a small record says besides its own fields.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Label {
-    /// Its session.
     pub session: Option<SessionMark>,
     /// Its number among the small records of the recording, from 0.
     pub number: Option<u64>,
@@ -85,7 +84,6 @@ pub(crate) struct Belonging {
 }
 
 impl Belonging {
-    /// By the recording's header.
     pub fn of(header: &RecordingHeader, version: u32) -> Self {
         Self { own: SessionMark::of(&header.session_id), version }
     }

@@ -23,20 +23,20 @@ pub struct CatalogueEntry {
     pub name: String,
     /// The id that all recordings of a session share, hexadecimal; `None` where the header cannot be read.
     pub session_id: Option<String>,
-    /// The recording's directory.
+    /// Directory of this node's recording of the session.
     #[cfg_attr(feature = "schema", schema(value_type = String))]
     pub path: PathBuf,
-    /// Its size, bytes.
+    /// Size of all its segments together, bytes.
     pub bytes: u64,
     /// When it was begun, host clock, ns; where that cannot be read, when its directory was made.
     pub created_ns: u64,
-    /// Triggers per second.
+    /// Triggers per second; `None` where the header cannot be read.
     pub trigger_rate_hz: Option<f64>,
-    /// Cameras of this node.
+    /// Names of the cameras that this node records.
     pub cameras: Vec<String>,
-    /// Pseudonymous.
+    /// Pseudonym of the subject, where one was given.
     pub subject: Option<String>,
-    /// Free text.
+    /// Free text that was given when the session was started.
     pub note: Option<String>,
     /// What people think of it, once they have said so.
     #[serde(default)]

@@ -20,13 +20,12 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Samples that the residual of a clock fit is computed from: the last ones, which the fit's window covers.
 const RESIDUAL_SAMPLES: usize = 60;
 
-/// One camera's outcomes.
+/// Outcomes and settings of one camera.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CameraDescription {
     /// As the header describes it: name (`id`), size, device, settings.
     #[serde(flatten)]
     pub header: CameraHeader,
-    /// Triggers with a frame.
     pub frames: u64,
     /// Triggers with a gap record, by cause.
     pub gaps: BTreeMap<GapCause, u64>,
@@ -34,22 +33,19 @@ pub struct CameraDescription {
     pub first_gaps: BTreeMap<GapCause, u64>,
     /// Triggers of the session without any outcome: the recording was interrupted, or is damaged.
     pub absent: u64,
-    /// The first of them.
+    /// The first trigger without an outcome.
     pub first_absent: Option<u64>,
 }
 
-/// Events of one kind.
+/// All events of one kind, with the first of them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct EventKind {
-    /// The kind.
     pub kind: String,
-    /// How many there are.
     pub count: u64,
     /// The lowest trigger that one of them names.
     pub first_trigger: Option<u64>,
     /// Host time of the first one, ns.
     pub first_host_time_ns: u64,
-    /// The first one's message.
     pub first_message: String,
 }
 
@@ -60,7 +56,6 @@ pub struct TimeCodeDescription {
     pub first: Option<String>,
     /// Of the last trigger that has one.
     pub last: Option<String>,
-    /// Triggers that have one.
     pub triggers: u64,
     /// Rows of codes of which each follows the one before.
     pub runs: usize,
@@ -82,7 +77,6 @@ impl std::fmt::Display for TimeCodeDescription {
 pub struct ClockDescription {
     /// The camera; `None` for the HSU.
     pub camera: Option<CameraId>,
-    /// Recorded exchanges.
     pub samples: u64,
     /// Exchanges that the fit knows of.
     pub used: u64,
@@ -90,7 +84,7 @@ pub struct ClockDescription {
     pub left_out: u64,
     /// How often the device's clock was set anew.
     pub resets: u64,
-    /// Shortest round trip, ns.
+    /// Shortest time from request to answer, host clock, ns.
     pub round_trip_min_ns: u64,
     /// Device's clock minus host's clock at the last exchange, ns.
     pub offset_ns: Option<i64>,
@@ -102,14 +96,12 @@ pub struct ClockDescription {
     pub uncertainty_ns: Option<u64>,
 }
 
-/// One segment.
+/// One segment of a recording, as its file has it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct SegmentDescription {
-    /// Its number.
     pub number: u32,
-    /// Its file.
     pub path: std::path::PathBuf,
-    /// Its length.
+    /// Length of the file when it was opened, bytes.
     pub bytes: u64,
     /// First trigger that belongs to it.
     pub first_trigger: u64,
@@ -243,7 +235,7 @@ fn clock(device: Option<&CameraId>, samples: &[ClockSample]) -> Option<ClockDesc
     })
 }
 
-/// The segments, in order.
+/// The segments of a recording, in the order of their numbers.
 pub fn segments(recording: &RecordingReader) -> Vec<SegmentDescription> {
     let ends = frames_ends(recording);
     let describe = |(place, segment): (usize, &SegmentReader)| SegmentDescription {

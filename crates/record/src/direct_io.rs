@@ -154,12 +154,12 @@ impl AlignedBuffer {
         Self { memory, start, capacity }
     }
 
-    /// All of it.
+    /// The whole memory, from its aligned start.
     pub fn as_slice(&self) -> &[u8] {
         &self.memory[self.start..self.start + self.capacity]
     }
 
-    /// All of it.
+    /// The whole memory, from its aligned start.
     pub fn as_mut_slice(&mut self) -> &mut [u8] {
         &mut self.memory[self.start..self.start + self.capacity]
     }

@@ -31,7 +31,7 @@ pub(super) struct Batch {
     /// Bytes of `staging`, the padding of the last block included.
     pub staged: usize,
     pub runs: Vec<Run>,
-    /// Where in the file.
+    /// Offset in the file; a multiple of the block size.
     pub offset: u64,
     /// Length of the file with it, without the padding.
     pub end: u64,
@@ -60,7 +60,6 @@ pub(super) enum Outcome {
 /// The answer to one command, in order.
 pub(super) struct Reply {
     pub outcome: Outcome,
-    /// When it was done.
     pub at: Instant,
     /// Memory of a batch, for the next one.
     pub memory: Option<(AlignedBuffer, Vec<Run>)>,

@@ -47,9 +47,7 @@ pub struct FrameMeta {
     pub camera_time_ns: u64,
     /// When the frame arrived, host clock, ns.
     pub host_time_ns: u64,
-    /// Columns.
     pub width: u32,
-    /// Rows.
     pub height: u32,
     /// CRC-32 (IEEE) of the pixels; see [`pixels_crc`].
     pub pixels_crc: u32,
@@ -60,12 +58,10 @@ pub fn pixels_crc(pixels: &[u8]) -> u32 {
     crc32fast::hash(pixels)
 }
 
-/// A parsed frame message.
+/// A frame's message, parsed: identity, and where its pixels are.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Envelope<'a> {
-    /// The camera's name.
     pub camera: &'a str,
-    /// Identity and checksum.
     pub meta: FrameMeta,
     /// The session that it is of; messages of version 1 do not say.
     pub session: Option<SessionMark>,
@@ -76,38 +72,18 @@ pub struct Envelope<'a> {
 /// Why a message is not a frame.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum EnvelopeError {
-    /// Not protobuf, or cut.
+    /// The bytes are no protobuf message, or are cut.
     #[error("frame message is not valid protobuf at byte {offset}")]
-    Malformed {
-        /// Where in the message.
-        offset: usize,
-    },
+    Malformed { offset: usize },
     /// A field is absent, repeated with another type, or has a value that a frame cannot have.
     #[error("frame message: {field} is {found}, expected {expected}")]
-    Field {
-        /// The field's name.
-        field: &'static str,
-        /// What was found.
-        found: String,
-        /// What was expected.
-        expected: String,
-    },
+    Field { field: &'static str, found: String, expected: String },
     /// The bytes before the pixels are not those that were written.
     #[error("envelope checksum is {found:#010x}, but the message states {stated:#010x}: it is damaged")]
-    Checksum {
-        /// Computed from the bytes.
-        found: u32,
-        /// Stated in the message.
-        stated: u32,
-    },
+    Checksum { found: u32, stated: u32 },
     /// The room in front of the pixels does not suffice.
     #[error("the envelope needs {needed} bytes in front of the pixels, {room} are there")]
-    Room {
-        /// Bytes needed.
-        needed: usize,
-        /// Bytes there.
-        room: usize,
-    },
+    Room { needed: usize, room: usize },
 }
 
 /// Writes the envelope to the end of `room`, so that the pixels that follow in the same buffer continue it,

@@ -11,7 +11,7 @@ pub struct InputEdge {
     pub number: u64,
     /// The HSU's input, from 0.
     pub line: u8,
-    /// From low to high.
+    /// Whether the line went from low to high.
     pub rising: bool,
     /// When it came, HSU clock, ns.
     pub hsu_time_ns: u64,
@@ -28,7 +28,7 @@ impl InputEdge {
         NodeEvent::of_json(KIND, host_time_ns, self)
     }
 
-    /// From an event.
+    /// The edge that an event holds; `None` for other kinds.
     pub fn of(event: &NodeEvent) -> Option<Self> {
         event.json(KIND)
     }

@@ -39,9 +39,9 @@ pub const KEY_END_TRIGGER: &str = "end_trigger";
 
 /// Keys of the segment metadata: where the message of [`INDEX_TOPIC`] has its payload, and its CRC-32.
 pub const KEY_INDEX_OFFSET: &str = "index_offset";
-/// See [`KEY_INDEX_OFFSET`].
+/// Key of the segment metadata: length of that payload, bytes.
 pub const KEY_INDEX_LENGTH: &str = "index_length";
-/// See [`KEY_INDEX_OFFSET`].
+/// Key of the segment metadata: CRC-32 of that payload.
 pub const KEY_INDEX_CRC: &str = "index_crc32";
 
 /// Key of the segment's, the verdict's and the statistics' metadata: the mark of the session.
@@ -49,13 +49,11 @@ pub const KEY_SESSION: &str = "session_mark";
 /// Key of the verdict's metadata: how many small records the recording has; they are numbered from 0.
 pub const KEY_RECORDS: &str = "records";
 
-/// Topic of gap records.
 pub const GAPS_TOPIC: &str = "/gaps";
 /// Topic of the HSU's trigger table.
 pub const TRIGGERS_TOPIC: &str = "/hsu/triggers";
 /// Topic of raw clock samples.
 pub const CLOCK_TOPIC: &str = "/clock";
-/// Topic of node events.
 pub const EVENTS_TOPIC: &str = "/events";
 /// Topic of the segment's index, the last message of a closed segment.
 pub const INDEX_TOPIC: &str = "/index";
@@ -112,9 +110,8 @@ pub const ACTIONS_AT_ONCE: &str = "actions_at_once";
 pub struct CameraHeader {
     /// Its name in the rig.
     pub id: CameraId,
-    /// Columns of its frames.
+    /// Columns of its frames, pixels (its rows are `height`).
     pub width: u32,
-    /// Rows of its frames.
     pub height: u32,
     /// Model, serial number and firmware as the camera states them; empty where unknown.
     pub device: String,
@@ -129,12 +126,11 @@ pub struct CameraHeader {
     pub state: BTreeMap<String, String>,
 }
 
-/// Who counted the triggers.
+/// The device that emitted and counted the triggers.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HsuIdentity {
     /// Unique id of the device.
     pub uid: String,
-    /// Its firmware.
     pub firmware: String,
     /// Version of the serial protocol spoken.
     pub protocol: u32,
@@ -143,11 +139,9 @@ pub struct HsuIdentity {
 /// What makes a segment understandable alone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecordingHeader {
-    /// Name of the session.
     pub session: SessionName,
     /// Unique id of the session, the same on both nodes.
     pub session_id: String,
-    /// The node that records.
     pub node: NodeId,
     /// The rig file, word for word.
     #[serde(skip)]
@@ -158,7 +152,6 @@ pub struct RecordingHeader {
     pub hsu: Option<HsuIdentity>,
     /// Triggers asked for; `None` runs until stop.
     pub expected_triggers: Option<u64>,
-    /// Triggers per second.
     pub trigger_rate_hz: f64,
     /// Name of the clock behind every `host_time_ns`, for instance `CLOCK_REALTIME`: UTC, ns since 1970 without leap seconds.
     pub host_clock: String,
@@ -166,9 +159,8 @@ pub struct RecordingHeader {
     pub created_ns: u64,
     /// Name and version of the recording software.
     pub software: String,
-    /// Pseudonym of the subject.
     pub subject: Option<String>,
-    /// Free text.
+    /// Free text that was given when the session was started.
     pub note: Option<String>,
 }
 
@@ -186,7 +178,7 @@ pub enum GapCause {
     DroppedRingFull,
     /// The frame arrived, but could not be written.
     DroppedDisk,
-    /// The camera was gone.
+    /// The camera was unplugged or off, or the network to it was down.
     Unplugged,
     /// The camera was there, but not under our control: another program took it, or our signs of life got lost.
     ControlLost,
@@ -240,18 +232,14 @@ impl fmt::Display for GapCause {
 /// Stands where a frame is missing.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GapRecord {
-    /// The camera.
     pub camera: CameraId,
-    /// The trigger.
     pub trigger: TriggerIndex,
-    /// Why.
     pub cause: GapCause,
 }
 
 /// One row of the HSU's trigger table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TriggerRecord {
-    /// The trigger.
     pub index: TriggerIndex,
     /// When it was emitted, HSU clock, ns.
     pub hsu_time_ns: u64,
@@ -278,17 +266,15 @@ pub struct ClockSample {
 /// Something that happened on the node during the session.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeEvent {
-    /// When, host clock, ns.
+    /// When it happened, host clock, ns.
     pub host_time_ns: u64,
     /// A word, for instance `camera_lost` or `duplicate`.
     pub kind: String,
-    /// The camera concerned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<CameraId>,
-    /// The trigger concerned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trigger: Option<TriggerIndex>,
-    /// For people.
+    /// Text for people; for some kinds JSON, or a format of its own.
     pub message: String,
 }
 
@@ -330,16 +316,15 @@ impl NodeEvent {
 pub enum WarmUp {
     /// A frame of the event's camera.
     Frame {
-        /// Its block id.
         block: u64,
         /// Its timestamp, camera clock, ns; 0 without one.
         camera_time_ns: u64,
         /// Its first packet's arrival, host clock, ns.
         host_time_ns: u64,
     },
-    /// A trigger.
+    /// A trigger of the warm-up, as the HSU reported it.
     Trigger {
-        /// Its number, negative.
+        /// Number of the trigger, negative: -1 is the last one before trigger 0.
         number: i64,
         /// When it was fired, HSU clock, ns.
         hsu_time_ns: u64,
@@ -355,7 +340,7 @@ impl WarmUp {
         NodeEvent { camera, ..NodeEvent::of_json(WARM_UP, host_time_ns, self) }
     }
 
-    /// From an event.
+    /// The sample that an event holds; `None` for other kinds.
     pub fn of(event: &NodeEvent) -> Option<Self> {
         event.json(WARM_UP)
     }
@@ -366,7 +351,6 @@ impl WarmUp {
 pub struct SegmentIndex {
     /// Camera (its place in the header), trigger, offset of the message's payload in the file, its length.
     pub frames: Vec<(u32, u64, u64, u64)>,
-    /// The gap records.
     pub gaps: Vec<GapRecord>,
     /// Rows of the trigger table ([`TriggerRecord::row`]); none in segments of versions that left them out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -382,13 +366,13 @@ impl TriggerRecord {
         (self.index.0, self.hsu_time_ns, self.flags, self.host_time_ns)
     }
 
-    /// Of an index.
+    /// The record of a row of the index.
     pub fn of_row((index, hsu_time_ns, flags, host_time_ns): TriggerRow) -> Self {
         Self { index: TriggerIndex(index), hsu_time_ns, flags, host_time_ns }
     }
 }
 
-/// JSON schema of [`SegmentIndex`].
+/// JSON schema of the channel that carries [`SegmentIndex`].
 pub(crate) fn index_schema() -> serde_json::Value {
     let frames =
         "camera (its place in the header), trigger, offset in the file and length of the message's payload";

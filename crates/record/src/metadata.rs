@@ -32,11 +32,8 @@ pub(super) fn is_sound(entries: &Entries) -> Option<bool> {
 /// A segment's header, as it states it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct StatedHeader {
-    /// What it says.
     pub header: RecordingHeader,
-    /// The segment's number.
     pub number: u32,
-    /// Version of its format.
     pub version: u32,
     /// Whether its own checksum is right.
     pub proven: bool,
@@ -50,7 +47,7 @@ impl StatedHeader {
     }
 }
 
-/// See [`StatedHeader::is_foreign`].
+/// Whether a header is of another recording, see [`StatedHeader::is_foreign`].
 pub(super) fn is_foreign(header: &RecordingHeader, proven: bool, own: &RecordingHeader) -> bool {
     let differs = header.session_id != own.session_id || header.node != own.node;
     differs && (proven || header.created_ns != own.created_ns)

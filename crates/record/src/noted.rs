@@ -18,9 +18,7 @@ const CHANGED_MAX: usize = 16;
 /// What a recording's events say of its outcomes.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Noted {
-    /// Events of kind [`REFUSED`].
     pub refused: u64,
-    /// Events of kind [`UNCONFIRMED`].
     pub unconfirmed: u64,
     /// Events of kind [`SETTING_CHANGED`], with their cameras.
     pub changed: Vec<String>,

@@ -35,7 +35,7 @@ pub(super) struct Milestone {
     pub end: u64,
     /// ...is on the medium; otherwise it is in the file.
     pub durable: bool,
-    /// Since when.
+    /// When the disk thread reported it.
     pub at: Instant,
 }
 
@@ -46,13 +46,15 @@ struct Offer {
     crc: u32,
 }
 
-/// See the module.
+/// The bytes of a segment that have not left for the disk.
+///
+/// A segment makes it and shares it with the `mcap` writer, which writes into it. It promises that what it hands to the disk
+/// thread is a clean prefix of the file. It ends with [`Self::close`], or with [`Self::abandon`] after a failure.
 pub(super) struct Window {
     disk: Disk,
     staging: AlignedBuffer,
     /// Offset in the file of the first staged byte; a multiple of [`BLOCK`].
     base: u64,
-    /// Staged bytes.
     filled: usize,
     /// Where the next byte is staged; less than `filled` while a placeholder is patched.
     cursor: usize,

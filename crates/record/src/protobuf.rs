@@ -6,7 +6,7 @@
 
 use std::io::{Cursor, Write};
 
-/// Wire types.
+/// Wire types of fields, as the encoding numbers them.
 const VARINT: u64 = 0;
 const I64: u64 = 1;
 const LEN: u64 = 2;
@@ -32,7 +32,7 @@ impl<const N: usize> MessageWriter<Fixed<N>> {
 }
 
 impl<B: Write> MessageWriter<B> {
-    /// The encoded message.
+    /// The bytes of the message so far.
     pub fn into_bytes(self) -> B {
         self.0
     }
@@ -63,17 +63,17 @@ impl<B: Write> MessageWriter<B> {
         message
     }
 
-    /// A `fixed32` field.
+    /// Appends a `fixed32` field, little-endian.
     pub fn fixed32(self, field: u32, value: u32) -> Self {
         self.number(field, I32, &value.to_le_bytes())
     }
 
-    /// A `fixed64` field.
+    /// Appends a `fixed64` field, little-endian.
     pub fn fixed64(self, field: u32, value: u64) -> Self {
         self.number(field, I64, &value.to_le_bytes())
     }
 
-    /// A `double` field.
+    /// Appends a `double` field, little-endian.
     pub fn double(self, field: u32, value: f64) -> Self {
         self.number(field, I64, &value.to_le_bytes())
     }
@@ -100,14 +100,11 @@ impl MessageWriter {
     }
 }
 
-/// A field's value.
+/// The value of a field, by its wire type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Value<'a> {
-    /// Any varint.
     Varint(u64),
-    /// `fixed32` and its kin.
     Fixed32(u32),
-    /// `fixed64` and its kin.
     Fixed64(u64),
     /// A string, bytes or a message.
     Bytes(&'a [u8]),
@@ -125,7 +122,7 @@ impl<'a> MessageReader<'a> {
         Self { message, position: 0 }
     }
 
-    /// Bytes read so far.
+    /// Bytes of the message that were read so far.
     pub fn position(&self) -> usize {
         self.position
     }

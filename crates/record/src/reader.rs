@@ -41,27 +41,21 @@ pub enum ReadError {
 /// Something about a segment's records that is not as it should be.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problem {
-    /// The segment's number.
     pub segment: u32,
-    /// The camera concerned.
     pub camera: Option<CameraId>,
-    /// The trigger concerned.
     pub trigger: Option<TriggerIndex>,
     /// What was expected and found.
     pub message: String,
 }
 
-/// One segment.
+/// One segment of a recording, opened for reading.
 pub struct SegmentReader {
-    /// Its number.
     pub number: u32,
-    /// Its file.
     pub path: PathBuf,
     /// No frame of an earlier trigger belongs to it.
     pub first_trigger: u64,
     /// No frame from this trigger on belongs to it; unknown in the last segment and after a crash.
     pub end_trigger: Option<u64>,
-    /// How its records end.
     pub end: End,
     /// `None` where it cannot be opened; [`Self::end`] says why.
     pub(crate) file: Option<SegmentFile>,
@@ -96,7 +90,6 @@ impl SegmentReader {
 /// How much of a recording to read when opening it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Extent {
-    /// All small records.
     Everything,
     /// Outcomes, trigger table and verdict, by way of the indexes.
     Outcomes,
@@ -106,12 +99,18 @@ pub(super) enum Extent {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Outcome {
     /// A frame: place of the segment in the recording, and of the message in it.
-    Frame { segment: usize, offset: usize, length: usize },
-    /// A gap record.
+    Frame {
+        segment: usize,
+        offset: usize,
+        length: usize,
+    },
     Gap(GapCause),
 }
 
-/// One node's recording.
+/// One node's recording, read from its files.
+///
+/// [`super::SessionReader`] and [`super::open_each`] make it. Its small records were read when it was opened; frames are read
+/// and checked on each access. It never writes, and what is damaged is in [`Self::problems`] instead of hiding the rest.
 pub struct RecordingReader {
     /// Its directory, or the single segment.
     pub path: PathBuf,
@@ -119,7 +118,7 @@ pub struct RecordingReader {
     pub header: RecordingHeader,
     /// What its records have to say about their session.
     pub(crate) belonging: Belonging,
-    /// In order.
+    /// In the order of their numbers.
     pub segments: Vec<SegmentReader>,
     /// The HSU's trigger table, by index.
     pub triggers: BTreeMap<TriggerIndex, TriggerRecord>,
@@ -144,18 +143,14 @@ pub struct RecordingReader {
 /// Triggers of a camera in a row that have gap records of the same cause.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GapRun {
-    /// The triggers.
     pub triggers: std::ops::Range<u64>,
-    /// Their cause.
     pub cause: GapCause,
 }
 
 /// A frame that passed its checks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedFrame {
-    /// Identity.
     pub meta: FrameMeta,
-    /// Pixels.
     pub image: Plane<u8>,
 }
 

@@ -39,42 +39,28 @@ pub(super) fn is_of_damaged(recording: &RecordingReader) -> bool {
     recording.events.iter().any(|event| event.kind == RECOVERED && damaged(&event.message))
 }
 
-/// Why nothing was recovered.
+/// Why nothing was recovered; the source is as it was.
 #[derive(Debug, thiserror::Error)]
 pub enum RecoverError {
     /// There is nothing at the path that could be a recording.
     #[error("{0}")]
     NotFound(String),
-    /// Nothing is ever overwritten.
+    /// The output exists, and nothing is ever overwritten.
     #[error("{path} exists; recovery never overwrites: name a directory that does not exist")]
-    Exists {
-        /// The output.
-        path: PathBuf,
-    },
+    Exists { path: PathBuf },
     /// Something is there, but nothing of it can be used.
     #[error("{path}: {reason}; nothing can be recovered")]
-    Unusable {
-        /// The recording or segment.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
+    Unusable { path: PathBuf, reason: String },
     /// The output could not be written.
     #[error("{path}: {reason}; nothing was left there, the source is as it was")]
-    Output {
-        /// The output.
-        path: PathBuf,
-        /// What went wrong.
-        reason: String,
-    },
+    Output { path: PathBuf, reason: String },
 }
 
 /// A place in a segment that is not as it was written.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Damage {
-    /// The segment's number.
     pub segment: u32,
-    /// First byte concerned.
+    /// First byte that is not as it was written.
     pub from: u64,
     /// Where usable records go on; 0 when the segment as such is concerned.
     pub to: u64,
@@ -94,24 +80,18 @@ impl fmt::Display for Damage {
 /// Gap records that recovery had to add: a run of triggers of one camera.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct AddedGaps {
-    /// The camera.
     pub camera: CameraId,
-    /// First trigger.
     pub first: TriggerIndex,
-    /// Last trigger.
     pub last: TriggerIndex,
-    /// Why.
     pub cause: GapCause,
 }
 
-/// One node's recording, recovered.
+/// The recovered recording of one node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct RecoveredRecording {
-    /// The node.
     pub node: NodeId,
     /// What it was made of.
     pub source: PathBuf,
-    /// Where it is.
     pub out: PathBuf,
     /// Whether the source had no verdict.
     pub interrupted: bool,
@@ -137,14 +117,12 @@ impl RecoveredRecording {
     }
 }
 
-/// What was recovered.
+/// What was recovered of a session, a recording or a segment.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Recovery {
-    /// The source.
     pub source: PathBuf,
     /// The result: a session if the source was one, else a recording.
     pub out: PathBuf,
-    /// Per node.
     pub recordings: Vec<RecoveredRecording>,
     /// Recordings of the session of which nothing can be used, and why.
     pub unusable: Vec<String>,

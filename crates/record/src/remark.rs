@@ -15,11 +15,11 @@ use std::time::SystemTime;
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Rating {
-    /// To be used.
+    /// The take is to be used.
     Good,
-    /// To be looked at.
+    /// Somebody has to look at the take before it is used.
     Doubtful,
-    /// Not to be used.
+    /// The take is not to be used.
     Bad,
 }
 
@@ -28,7 +28,7 @@ pub enum Rating {
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Remark {
-    /// How good it is.
+    /// How good the take is; null where no rating was given.
     #[serde(deserialize_with = "present")]
     #[cfg_attr(feature = "schema", schema(required = true))]
     pub rating: Option<Rating>,

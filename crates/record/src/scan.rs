@@ -25,7 +25,7 @@ const MAX_SMALL_RECORD: usize = 16 << 20;
 pub const MAX_MESSAGE: usize = 512 << 20;
 /// Metadata records of a segment, at most: ours has four. What a summary names beyond is no summary of ours.
 const MAX_METADATA: usize = 16;
-/// Opcode and length.
+/// Bytes of a record before its body: opcode and length.
 const PREAMBLE: usize = 9;
 /// A chunk's fields before its records: two times, size, checksum, the name of a compression, size.
 const MAX_CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4 + 64 + 8;
@@ -38,36 +38,26 @@ pub type Entries = BTreeMap<String, String>;
 /// Something found in the file, in file order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Event {
-    /// A metadata record.
     Metadata {
-        /// Its name.
         name: String,
-        /// Its entries.
         entries: Entries,
     },
-    /// A channel.
     Channel {
-        /// Its number in messages.
         id: u16,
-        /// Its topic.
         topic: String,
     },
     /// A chunk; its messages follow.
     Chunk {
-        /// Where its records are.
         records: Range<usize>,
         /// CRC-32 of the records; 0 means none was computed.
         crc: u32,
         /// Whether all of it is there.
         whole: bool,
     },
-    /// A message.
     Message {
-        /// Number of its channel.
         channel: u16,
         /// For frames and gaps the trigger index (its low 32 bits).
         sequence: u32,
-        /// Where its payload is.
         data: Range<usize>,
     },
     /// The end of the data section: what follows repeats what came before.
@@ -77,7 +67,7 @@ pub enum Event {
         /// CRC-32 of everything before; 0 means none was computed.
         crc: u32,
     },
-    /// The last record.
+    /// The footer, which is the last record.
     Footer {
         /// What its checksum covers: the summary, and the footer up to the checksum.
         covered: Range<usize>,
@@ -86,7 +76,7 @@ pub enum Event {
     },
 }
 
-/// How the walk ended.
+/// How the walk through the records ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum End {
     /// At the file's closing magic.
@@ -98,14 +88,16 @@ pub enum End {
     },
     /// The bytes at `at` are not what a recording has there.
     Damaged {
-        /// Offset.
         at: usize,
         /// What was expected and found.
         reason: String,
     },
 }
 
-/// The walk.
+/// Walks through the records of a segment, in the order of the file.
+///
+/// Reader, verification and recovery each make one for a pass over a file. It borrows the file, promises to end for any bytes
+/// whatever, and states in [`Self::end`] why it ended.
 pub struct Walker<'a> {
     pieces: Pieces<'a>,
     /// Where the walk ends, at the latest.
@@ -377,7 +369,6 @@ struct ChunkHeader {
     crc: u32,
     compression: String,
     compressed: u64,
-    /// Bytes of these fields.
     length: usize,
 }
 

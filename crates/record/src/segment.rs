@@ -45,17 +45,16 @@ pub(super) struct Closing<'a> {
 /// Channels whose messages are JSON, in the order of [`json_channels`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JsonChannel {
-    /// Gap records.
     Gaps,
-    /// The HSU's trigger table.
     Triggers,
-    /// Clock samples.
     Clock,
-    /// Node events.
     Events,
 }
 
-/// A segment being written.
+/// A segment being written: one MCAP file of a recording.
+///
+/// The recording makes it when the first session's trigger or the last split calls for one, and owns it. It promises that the
+/// file is a readable prefix at every instant. It ends with [`Self::finish`]; after a failed write its window is abandoned.
 pub struct Segment {
     mcap: mcap::Writer<Handle>,
     window: Arc<Mutex<Window>>,

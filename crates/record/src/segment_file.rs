@@ -19,7 +19,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 const BLOCK: usize = 4096;
 /// Behind so many bytes in a row that cannot be read, the disk is asked less often: a block in each [`STRIDE`].
 const PATIENCE: usize = 64 * BLOCK;
-/// See [`PATIENCE`].
+/// Bytes between the blocks that are tried behind [`PATIENCE`]: a large bad area takes seconds, not hours.
 const STRIDE: usize = 1 << 20;
 /// Places of a file that cannot be read, at most: behind the last one the file is given up.
 const MAX_PLACES: usize = 1000;
@@ -32,11 +32,8 @@ const FIRST_READ: usize = 2 * BLOCK;
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, thiserror::Error)]
 #[error("bytes {from} to {to} cannot be read: {reason}")]
 pub struct BadRange {
-    /// The first one.
     pub from: usize,
-    /// Behind the last one.
     pub to: usize,
-    /// What the system says.
     pub reason: String,
 }
 
@@ -224,12 +221,12 @@ pub struct Pieces<'a> {
 }
 
 impl<'a> Pieces<'a> {
-    /// Nothing is read yet.
+    /// A reader of which nothing is in memory yet.
     pub fn new(file: &'a SegmentFile) -> Self {
         Self { file, piece: Vec::new(), start: 0, ahead: FIRST_READ }
     }
 
-    /// The file.
+    /// The file that the pieces are of.
     pub fn file(&self) -> &'a SegmentFile {
         self.file
     }

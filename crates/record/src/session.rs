@@ -26,7 +26,7 @@ pub fn node_dir(session: &Path, node: &NodeId) -> PathBuf {
 pub struct RecordingFiles {
     /// The recording's directory, or the single file.
     pub path: PathBuf,
-    /// Number and path.
+    /// Number and path of each segment.
     pub segments: Vec<(u32, PathBuf)>,
     /// Why the directory cannot be listed, if so.
     pub unlisted: Option<String>,
@@ -247,7 +247,7 @@ impl SessionReader {
         Self { recordings, unreadable, lost, cameras, places, triggers, times }
     }
 
-    /// The recordings, by node.
+    /// The recordings that can be read, in the order of the nodes' names.
     pub fn recordings(&self) -> &[RecordingReader] {
         &self.recordings
     }

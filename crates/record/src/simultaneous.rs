@@ -23,11 +23,9 @@ const LINES: usize = 64;
 /// Triggers in a row; `count` is less than its length where others lie between them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TriggerRow {
-    /// The first.
     pub first: u64,
-    /// The last.
     pub last: u64,
-    /// How many.
+    /// How many triggers of `first` to `last` are meant.
     pub count: u64,
 }
 
@@ -51,7 +49,7 @@ impl TriggerRow {
         })
     }
 
-    /// One row over both.
+    /// One row that spans both rows.
     fn join(self, other: Self) -> Self {
         let (first, last) = (self.first.min(other.first), self.last.max(other.last));
         let whole = self.count == self.length() && other.count == other.length();
@@ -113,7 +111,7 @@ impl fmt::Display for TriggerRow {
 pub struct TriggerRows(Vec<TriggerRow>);
 
 impl TriggerRows {
-    /// Adds a row.
+    /// Adds a row, and joins it with those that it touches.
     pub fn add(&mut self, row: TriggerRow) {
         let rows = &mut self.0;
         let at = rows.partition_point(|other| other.last.saturating_add(1) < row.first);
@@ -131,7 +129,7 @@ impl TriggerRows {
         }
     }
 
-    /// In order.
+    /// The rows in the order of their triggers.
     pub fn iter(&self) -> impl Iterator<Item = TriggerRow> + '_ {
         self.0.iter().copied()
     }
@@ -155,7 +153,6 @@ impl fmt::Display for TriggerRows {
 /// What a recording's events of this kind come to.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct NotSimultaneous {
-    /// By camera and reason.
     rows: BTreeMap<(String, String), TriggerRows>,
 }
 

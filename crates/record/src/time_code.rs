@@ -17,7 +17,7 @@ pub struct HeardTimeCode {
     pub number: u64,
     /// Which run of this recording it belongs to, from 0.
     pub run: u64,
-    /// What was said.
+    /// The code that the line carried.
     #[serde(serialize_with = "write_code", deserialize_with = "read_code")]
     pub code: TimeCode,
     /// The edge that its first bit begins with, HSU clock, ns.
@@ -35,7 +35,7 @@ impl HeardTimeCode {
         NodeEvent::of_json(KIND, host_time_ns, self)
     }
 
-    /// From an event.
+    /// The code that an event holds; `None` for other kinds.
     pub fn of(event: &NodeEvent) -> Option<Self> {
         event.json(KIND)
     }
@@ -59,7 +59,6 @@ fn read_code<'de, D: Deserializer<'de>>(deserializer: D) -> Result<TimeCode, D::
 /// A code, and how much of its frame had gone by.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeCodeAt {
-    /// The frame's code.
     pub code: TimeCode,
     /// Of the frame, 0 to 1.
     pub fraction: f64,
@@ -80,7 +79,7 @@ pub struct TimeCodeLine {
 }
 
 impl TimeCodeLine {
-    /// As its events say.
+    /// The time code in the events of a recording.
     pub fn of(events: &[NodeEvent]) -> Self {
         let heard = events.iter().filter_map(HeardTimeCode::of);
         Self { heard: heard.map(|heard| (heard.hsu_time_ns, heard)).collect() }

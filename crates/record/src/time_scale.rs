@@ -14,7 +14,7 @@ const TAI_AHEAD_NS: i64 = 37_000_000_000;
 /// A host whose clock is kept by NTP or PTP is nearer to UTC than this.
 const NEAR_NS: u64 = 500_000_000;
 
-/// What a clock counts.
+/// The time scale that a clock counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub enum TimeScale {
     /// International atomic time, since 1970-01-01 00:00:00 TAI: PTP's own.
@@ -23,7 +23,7 @@ pub enum TimeScale {
     /// Universal time, since 1970-01-01 00:00:00 UTC, without leap seconds: the host's.
     #[serde(rename = "UTC")]
     Utc,
-    /// Neither.
+    /// Neither TAI nor UTC: a scale of its own.
     #[serde(rename = "own")]
     Own,
 }

@@ -4,18 +4,14 @@
 use super::layout::{CLOCK_TOPIC, EVENTS_TOPIC, GAPS_TOPIC, RecordingHeader, TRIGGERS_TOPIC, image_topic};
 use std::collections::BTreeMap;
 
-/// What a channel carries.
+/// The kind of records that a channel carries.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Topic {
     /// Frames of the camera at this place in the header.
     Image(usize),
-    /// Gap records.
     Gaps,
-    /// The trigger table.
     Triggers,
-    /// Clock samples.
     Clock,
-    /// Events.
     Events,
     /// The frame index, and what later versions add.
     Other,

@@ -52,7 +52,7 @@ impl TriggerTimes {
         u64::try_from(hsu_ns? + host_minus_hsu_ns).ok()
     }
 
-    /// What clock this is.
+    /// Describes the clock that the times are of.
     pub(super) fn name(&self, recordings: &[RecordingReader]) -> String {
         let place = match *self {
             Self::Table { recording, .. } => recording,

@@ -15,13 +15,13 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Interrupted {
-    /// Its directory.
+    /// Directory of the recording that was not finished.
     #[cfg_attr(feature = "schema", schema(value_type = String))]
     pub path: PathBuf,
-    /// Name of the session.
+    /// Name of the session, that of its directory.
     #[cfg_attr(feature = "schema", schema(value_type = String))]
     pub session: SessionName,
-    /// The node that recorded.
+    /// Name of the node that recorded it.
     #[cfg_attr(feature = "schema", schema(value_type = String))]
     pub node: NodeId,
     /// Frames of all cameras in it, not checked.

@@ -38,14 +38,14 @@ impl Status {
     }
 }
 
-/// One camera's outcomes.
+/// Counts of one camera's outcomes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct CameraVerdict {
-    /// The camera.
+    /// Name of the camera in the rig.
     #[cfg_attr(feature = "schema", schema(value_type = String))]
     pub camera: CameraId,
-    /// Triggers with a frame.
+    /// Triggers of which a frame is recorded.
     pub frames: u64,
     /// Triggers with a gap record, by cause.
     #[cfg_attr(feature = "schema", schema(value_type = BTreeMap<String, u64>))]
@@ -64,11 +64,11 @@ impl CameraVerdict {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Verdict {
-    /// In one word.
+    /// The verdict in one word, from best to worst.
     pub status: Status,
     /// Triggers of the session: every camera has this many outcomes.
     pub triggers: u64,
-    /// Triggers asked for.
+    /// Triggers that were requested; null runs until stop.
     pub triggers_expected: Option<u64>,
     /// Triggers that the HSU reports to have emitted; `None` when the report is missing.
     pub triggers_emitted: Option<u64>,
@@ -95,7 +95,7 @@ pub struct Verdict {
 }
 
 impl Verdict {
-    /// Frames of all cameras.
+    /// Frames of all cameras together.
     pub fn frames(&self) -> u64 {
         self.cameras.iter().fold(0, |sum, camera| sum.saturating_add(camera.frames))
     }
@@ -202,7 +202,7 @@ pub struct SessionEnd {
     pub aborted: Option<String>,
     /// Cause of the gap records for outcomes that are still absent.
     pub absent: GapCause,
-    /// When, host clock, ns.
+    /// When it ended, host clock, ns.
     pub host_time_ns: u64,
 }
 
@@ -320,7 +320,7 @@ impl CameraTally {
         &self.seen
     }
 
-    /// The counts.
+    /// The counts of this camera so far.
     pub fn verdict(&self, camera: &CameraId) -> CameraVerdict {
         CameraVerdict { camera: camera.clone(), frames: self.frames, gaps: self.gaps.clone() }
     }

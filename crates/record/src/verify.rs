@@ -46,14 +46,10 @@ pub enum Severity {
 /// One thing that was found.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
-    /// How bad it is.
     pub severity: Severity,
-    /// The node.
     pub node: String,
-    /// The segment's number.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub segment: Option<u32>,
-    /// The camera.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera: Option<CameraId>,
     /// First and last trigger concerned.
@@ -90,20 +86,16 @@ impl fmt::Display for Finding {
 /// One node's recording as it is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct RecordingReport {
-    /// The node.
     pub node: String,
-    /// Its directory.
     pub path: PathBuf,
-    /// Bytes of all segments.
     pub bytes: u64,
-    /// Counted from the records.
+    /// The verdict, counted from the records again.
     pub verdict: Verdict,
 }
 
-/// What `verify` found.
+/// What `verify` found in a session, a recording or a segment.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Report {
-    /// What was verified.
     pub path: PathBuf,
     /// The worst finding that is more than a note.
     pub worst: Option<Severity>,
@@ -111,7 +103,6 @@ pub struct Report {
     pub single_segment: bool,
     /// Whether images were imported: which trigger one is of rests on its file's name.
     pub imported: bool,
-    /// Per node.
     pub recordings: Vec<RecordingReport>,
     /// The nodes against each other.
     pub compared: Vec<Comparison>,

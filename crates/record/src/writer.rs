@@ -50,16 +50,20 @@ const MAX_UNWRITTEN: usize = 1 << 20;
 
 type OpenStore = Arc<dyn Fn(&Path) -> io::Result<Box<dyn Store>> + Send + Sync>;
 
-/// Shared with whoever looks.
+/// Latencies of the disk, shared with those who watch the recording.
 type Latencies = Arc<DiskProgress>;
 
-/// A recording being written.
+/// The recording of one node while it is written.
+///
+/// The session's node thread creates it before any camera is started; the writer thread owns it from then on. It promises that
+/// every camera ends with one outcome per trigger, that what is written is readable after a crash up to a second before it, and
+/// that a failing disk costs frames, never the accounting. [`Self::finish`] ends it with the verdict; without that it is
+/// interrupted, and `fourdbody recover` completes it.
 pub struct Recording {
     dir: PathBuf,
     header: RecordingHeader,
     /// Version of the format, and the session's mark in it.
     belonging: Belonging,
-    /// Small records so far.
     records: u64,
     options: WriterOptions,
     open_store: OpenStore,
@@ -166,7 +170,7 @@ impl Recording {
         }
     }
 
-    /// The recording's directory.
+    /// The directory that the recording is written to.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
@@ -316,7 +320,7 @@ impl Recording {
         Ok(())
     }
 
-    /// Records a clock exchange.
+    /// Records an exchange with a device's clock.
     pub fn clock_sample(&mut self, sample: &ClockSample) -> Result<(), RecordError> {
         self.json(JsonChannel::Clock, self.newest(), sample.host_receive_ns, sample)
     }

@@ -27,7 +27,7 @@ const LOOKS: u64 = 5;
 /// One camera of the session.
 #[derive(Debug, Clone)]
 pub struct CameraReport {
-    /// Outcomes and settings.
+    /// Outcomes of its triggers, and its settings.
     pub described: CameraDescription,
     /// Runs of triggers without a frame, with their cause.
     pub gaps: Vec<GapRun>,
@@ -41,12 +41,12 @@ pub struct CameraReport {
     pub points: Vec<(u64, u64)>,
 }
 
-/// One node's recording.
+/// What the page shows of one node's recording.
 #[derive(Debug, Clone)]
 pub struct NodeReport {
-    /// The node.
+    /// Name of the node in the rig.
     pub node: String,
-    /// Where it lies.
+    /// Directory of the recording, or the single segment.
     pub path: PathBuf,
     /// What it amounts to; `None`: it was not finished.
     pub verdict: Option<Verdict>,
@@ -54,24 +54,24 @@ pub struct NodeReport {
     pub statistics: Option<WriteStatistics>,
     /// Its recording as `fourdbody info` describes it.
     pub sheet: Sheet,
-    /// Its cameras.
+    /// Its cameras, in the order of the recording.
     pub cameras: Vec<CameraReport>,
 }
 
-/// A session.
+/// What the page shows of a session.
 #[derive(Debug, Clone)]
 pub struct Report {
-    /// Its name.
+    /// Name of the session, that of its directory.
     pub session: String,
     /// When it was begun, host clock, ns.
     pub created_ns: u64,
-    /// Pseudonymous.
+    /// Pseudonym of the subject, where one was given.
     pub subject: Option<String>,
-    /// Free text.
+    /// Free text of the operator, where one was given.
     pub note: Option<String>,
-    /// Triggers per second.
+    /// Triggers per second, as the header states it.
     pub trigger_rate_hz: f64,
-    /// Triggers of the session.
+    /// Triggers of the session, the most that a node has.
     pub triggers: u64,
     /// The nodes that recorded it.
     pub nodes: Vec<NodeReport>,
@@ -160,7 +160,7 @@ fn samples(recording: &RecordingReader, camera: usize) -> Vec<Sample> {
     triggers.into_iter().filter_map(sample).collect()
 }
 
-/// Trigger, camera, points.
+/// Trigger, name of the camera, and points of its cloud.
 type Points = (u64, String, u64);
 
 /// From `summary.json` of a reconstruction, which must be of this session.

@@ -145,7 +145,7 @@ const DATES: &str = r#"
 for (const time of document.querySelectorAll("time")) time.textContent = new Date(Number(time.dataset.ns) / 1e6).toLocaleString([], { timeZoneName: "short" });
 "#;
 
-/// The one cloud.
+/// Script that shows the one cloud of a page without a player.
 const SHOW: &str = r#"
 const bytes = Uint8Array.from(atob(document.getElementById("points").textContent), (c) => c.charCodeAt(0));
 const canvas = document.getElementById("cloud");

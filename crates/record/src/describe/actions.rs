@@ -9,10 +9,9 @@ use crate::time_scale::ScaleFound;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// A camera's action commands.
+/// What happened to the action commands of one camera.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct ActionDescription {
-    /// The camera.
     pub camera: CameraId,
     /// Those of the warm-up are among them.
     pub commands: ActionCounts,
@@ -21,7 +20,6 @@ pub struct ActionDescription {
 /// The PTP statuses of a camera.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct PtpDescription {
-    /// The camera.
     pub camera: CameraId,
     /// Each status, and how often it is recorded: when the session began, at each change, and when it ended.
     pub statuses: BTreeMap<String, u64>,

@@ -246,12 +246,12 @@ impl Block {
         unsafe { std::slice::from_raw_parts_mut(self.memory.as_ptr(), self.sizes.received) }
     }
 
-    /// Room and pixels.
+    /// The room for the envelope, and the pixels.
     pub fn bytes(&self) -> &[u8] {
         &self.whole()[..self.sizes.pixels]
     }
 
-    /// Room and pixels.
+    /// The room for the envelope, and the pixels.
     pub fn bytes_mut(&mut self) -> &mut [u8] {
         let end = self.sizes.pixels;
         &mut self.whole_mut()[..end]
@@ -267,7 +267,7 @@ impl Block {
         &mut self.whole_mut()[ROOM_BYTES..]
     }
 
-    /// The pixels.
+    /// The pixels, without the room in front of them.
     pub fn pixels(&self) -> &[u8] {
         &self.bytes()[ROOM_BYTES..]
     }

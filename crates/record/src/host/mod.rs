@@ -3,7 +3,7 @@
 
 /// Blocks of memory that frames are received into.
 pub mod frame_memory;
-/// The allocator's settings.
+/// Settings of the allocator against growing from session to session.
 pub mod heap;
 /// Work that nothing waits for, in processes of its own.
 pub mod idle_process;

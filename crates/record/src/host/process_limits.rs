@@ -47,7 +47,7 @@ pub struct ProcessMemory {
 }
 
 impl ProcessMemory {
-    /// As it is now.
+    /// Reads what the process has at this moment.
     pub fn at_start() -> Self {
         let text = regular::read_text(Path::new("/proc/self/status"), MIB);
         Self { at_start: text.ok().and_then(|text| Counted::in_status(&text)) }

@@ -123,7 +123,7 @@ pub fn soft_limit(resource: libc::__rlimit_resource_t) -> Option<u64> {
     (asked == 0 && limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur)
 }
 
-/// A limit for people.
+/// A limit of the process as text, `unlimited` where there is none.
 pub fn limit_text(limit: Option<u64>) -> String {
     limit.map_or_else(|| "unlimited".to_owned(), |limit| limit.to_string())
 }

@@ -64,11 +64,9 @@ struct Watched {
 /// A thread without a processor. In words it is what the host did.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Starved {
-    /// What it does.
     pub role: String,
     /// So long it waited for a processor.
     pub waited: Duration,
-    /// In so long.
     pub window: Duration,
 }
 

@@ -46,7 +46,6 @@ impl Early {
 /// What a rhythm is heard in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Heard {
-    /// The camera's timestamps.
     Clock,
     /// The arrivals on the host.
     Arrivals,
@@ -80,7 +79,7 @@ pub struct Anchoring {
 }
 
 impl Anchoring {
-    /// A frame came.
+    /// Adds a frame; of many, the first and the last ones are kept.
     pub fn add(&mut self, frame: Early) {
         if self.frames.len() == FRAMES {
             self.frames.remove(FIRST);
@@ -88,7 +87,7 @@ impl Anchoring {
         self.frames.push(frame);
     }
 
-    /// The last frame.
+    /// The frame that was added last.
     pub fn last(&self) -> Option<&Early> {
         self.frames.last()
     }

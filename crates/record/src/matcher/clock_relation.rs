@@ -21,7 +21,7 @@ pub(super) struct Tracker {
 }
 
 impl Tracker {
-    /// Anchored at one frame.
+    /// A relation that passes through one frame, without drift.
     pub(super) fn new(hsu_ns: u64, camera_ns: u64) -> Self {
         Self { hsu_ns: hsu_ns.into(), camera_ns: camera_ns.into(), drift: 0.0, spread_ns: 0.0, frames: 1 }
     }

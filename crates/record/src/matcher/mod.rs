@@ -43,7 +43,7 @@ const GIVEN_UP_MAX: u32 = 8;
 /// What is known before a camera's first frame.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Start {
-    /// Trigger period, ns.
+    /// Nominal time from trigger to trigger, ns.
     pub period_ns: u64,
     /// Triggers of the warm-up: the first trigger has this number, negative.
     pub warm_up: u32,
@@ -112,7 +112,7 @@ impl Matcher {
     /// In the warm-up so many.
     const FIRST_FOLLOWERS: usize = 16;
 
-    /// Before the session.
+    /// A matcher of one camera before its first frame.
     pub fn new(start: Start) -> Self {
         let period_ns = start.period_ns.max(16);
         Self {

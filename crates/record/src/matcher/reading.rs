@@ -40,7 +40,7 @@ pub(super) struct CameraClock {
 }
 
 impl CameraClock {
-    /// Before the first reading.
+    /// A clock of which there is no reading yet.
     pub(super) fn new(period_ns: u64) -> Self {
         Self {
             fit: ClockFit::new(),
@@ -55,7 +55,7 @@ impl CameraClock {
         }
     }
 
-    /// A reading is there.
+    /// Takes a reading of the clock into account.
     pub(super) fn exchange(&mut self, exchange: &Exchange) -> Judged {
         let ready = self.fit.is_ready();
         let judged = self.fit.exchange(exchange);
@@ -92,7 +92,7 @@ impl CameraClock {
         self.to_measure.clear();
     }
 
-    /// Asks for a reading.
+    /// Requests a reading, if the clock answers.
     pub(super) fn ask(&mut self) {
         self.wanted = self.answers;
     }

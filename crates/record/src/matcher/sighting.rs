@@ -6,7 +6,6 @@ use crate::base::ids::BlockId;
 /// What the witnesses say of one frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Sighting {
-    /// GVSP block id.
     pub id: BlockId,
     /// Camera clock, ns, at whatever point of the frame the camera stamps; `None` where the leader was lost or there
     /// is no stamp.
@@ -22,7 +21,7 @@ pub struct Sighting {
 pub enum Witness {
     /// Two of block id, timestamp and arrival agree, and the third does not refute them.
     Two,
-    /// One of them alone.
+    /// Only one of them names the trigger.
     One,
 }
 
@@ -44,17 +43,15 @@ pub enum Finding {
 pub struct Matched {
     /// The trigger's number; negative in the warm-up.
     pub number: i64,
-    /// What it rests on.
     pub witness: Witness,
     /// So many triggers before it gave frames that were lost on the way.
     pub lost: u64,
     /// So many triggers before it were ignored by the camera.
     pub ignored: u64,
-    /// Anything else.
     pub finding: Option<Finding>,
 }
 
-/// What a frame is.
+/// The answer of the matcher for one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Match {
     /// The frame of a trigger.

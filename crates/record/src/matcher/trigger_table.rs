@@ -11,7 +11,6 @@ struct Row {
     hsu_ns: u64,
     /// Reported, and in rhythm with the reports before.
     sound: bool,
-    /// Reported at all.
     heard: bool,
     /// Not reported, and cameras agree on it.
     agreed: bool,
@@ -43,7 +42,6 @@ pub struct TriggerTable {
     period_ns: u64,
     first: i64,
     rows: VecDeque<Row>,
-    /// The last sound report.
     anchor: Option<Anchor>,
     /// Reports that contradict the rhythm.
     contradicting: u64,
@@ -66,7 +64,6 @@ struct Anchor {
 
 /// Longest table: eleven days at 120 Hz. A wild number must not allocate without bound.
 const TRIGGERS_MAX: i64 = 120_000_000;
-/// Most warm-up triggers.
 const WARM_UP_MAX: i64 = 1_000_000;
 /// Most reports that may be missing in a row.
 const HOLE_MAX: i64 = 1_000_000;

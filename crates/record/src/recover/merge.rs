@@ -43,7 +43,6 @@ pub struct Salvage {
     pub outcomes: Vec<BTreeMap<u64, Outcome>>,
     /// Per camera of the header: frames whose identity is known and whose pixels are damaged.
     pub damaged: Vec<BTreeSet<u64>>,
-    /// The trigger table.
     pub triggers: BTreeMap<u64, TriggerRecord>,
     /// In the order of the files.
     pub clock_samples: Vec<ClockSample>,
@@ -57,7 +56,6 @@ pub struct Salvage {
     pub first_trigger: u64,
     /// Whether this is one segment of a recording that had more.
     pub fragment: bool,
-    /// What was found wrong.
     pub damage: Vec<Damage>,
     /// Small records that were there, but under no checksum that is right.
     pub records_lost: u64,
@@ -347,7 +345,7 @@ impl Salvage {
         }
     }
 
-    /// Bytes of all segments.
+    /// Length of all segments together, bytes.
     pub fn bytes(&self) -> u64 {
         self.files.iter().flatten().map(|file| file.len() as u64).sum()
     }

@@ -34,9 +34,7 @@ const MAX_DAMAGE: usize = 1000;
 
 /// A record with what it says of its session and its number.
 pub struct Labelled<T> {
-    /// What it says.
     pub label: Label,
-    /// The record.
     pub record: T,
 }
 
@@ -44,9 +42,7 @@ pub struct Labelled<T> {
 pub struct FoundFrame {
     /// Its camera, as a place in [`SegmentScan::cameras`].
     pub camera: usize,
-    /// Its trigger.
     pub trigger: u64,
-    /// Its session.
     pub session: Option<SessionMark>,
     /// Where its message is in the file.
     pub message: Range<usize>,
@@ -55,7 +51,6 @@ pub struct FoundFrame {
 /// Everything usable in a segment.
 #[derive(Default)]
 pub struct SegmentScan {
-    /// Its header, if readable.
     pub header: Option<StatedHeader>,
     /// Entries of a header that is not readable as a whole.
     pub header_entries: Entries,
@@ -75,7 +70,6 @@ pub struct SegmentScan {
     pub damaged_frames: Vec<(usize, u64, Option<SessionMark>)>,
     /// In the order of the file; then gap records that only the index has.
     pub records: Vec<Labelled<SmallRecord>>,
-    /// As stored.
     pub verdict: Option<Labelled<Verdict>>,
     /// How many small records the recording has, as the verdict's metadata states it.
     pub stated_records: Option<u64>,

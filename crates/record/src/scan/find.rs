@@ -40,7 +40,7 @@ pub enum Found {
 }
 
 impl Found {
-    /// Its first byte.
+    /// Offset of its first byte in the file.
     pub fn start(&self) -> usize {
         match self {
             Self::Record(at) => *at,

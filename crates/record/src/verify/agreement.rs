@@ -12,12 +12,10 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::path::PathBuf;
 
-/// Two nodes' recordings, compared.
+/// The recordings of two nodes, compared with each other.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Comparison {
-    /// The nodes.
     pub nodes: [String; 2],
-    /// The sessions' ids.
     pub session_ids: [String; 2],
     /// Triggers, counted from the records.
     pub triggers: [u64; 2],

@@ -24,7 +24,7 @@ const STEP_RATE: i128 = 1_000;
 /// So many readings that agree with each other show that a clock was set; fewer may be wrong themselves.
 const SUSTAINED: usize = 3;
 
-/// One reading, ns.
+/// One reading of the device's clock, ns.
 #[derive(Debug, Clone, Copy)]
 struct Reading {
     sent: i128,
@@ -61,9 +61,8 @@ pub struct Epoch {
 /// A time of the host that a device's time stands for, and half of what the readings leave open, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct HostTime {
-    /// The middle.
+    /// Middle of what the readings leave open, host clock, ns.
     pub ns: i128,
-    /// To either side.
     pub open_ns: i128,
 }
 

@@ -27,7 +27,6 @@ struct Fit {
     way_ns: i128,
     /// Frames with the triggers that they fit, as their ids count them.
     frames: Vec<Frame>,
-    /// How many fit any.
     fitting: usize,
 }
 

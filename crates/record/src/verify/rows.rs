@@ -40,7 +40,7 @@ impl Rows {
 pub struct Wrong(pub Vec<((u64, u64), String)>);
 
 impl Wrong {
-    /// One more.
+    /// Adds a part, to the last row if it continues it.
     pub fn add(&mut self, range: (u64, u64), message: impl FnOnce() -> String) {
         match self.0.last_mut() {
             Some(((_, last), _)) if *last + 1 == range.0 => *last = range.1,

@@ -127,7 +127,6 @@ struct Sums<'a> {
     passed: usize,
     /// `None` behind what cannot be read.
     data: Option<Hasher>,
-    /// The open chunk.
     chunk: Option<Chunk>,
     advance: &'a (dyn Fn(u64) + Sync),
 }

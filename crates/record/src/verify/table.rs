@@ -367,13 +367,13 @@ fn stated_period(recording: &RecordingReader, notes: &mut Notes) -> Option<i128>
     Some((1e9 / rate) as i128)
 }
 
-/// Neighbours.
+/// Each row with the one behind it.
 fn pairs(rows: &BTreeMap<i64, Row>) -> impl Iterator<Item = ((i64, Row), (i64, Row))> + '_ {
     let rows = || rows.iter().map(|(number, row)| (*number, *row));
     rows().zip(rows().skip(1))
 }
 
-/// For people.
+/// Nanoseconds as milliseconds, for messages.
 pub fn ms(ns: i128) -> f64 {
     ns as f64 / 1e6
 }

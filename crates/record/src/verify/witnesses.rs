@@ -22,25 +22,22 @@ use std::collections::BTreeMap;
 /// What a frame itself says of its instant.
 #[derive(Debug, Clone, Copy)]
 pub struct Seen {
-    /// Block id.
     pub block: u64,
     /// Camera clock, ns; 0 without a timestamp.
     pub camera_ns: u64,
-    /// Arrival, host clock, ns.
+    /// Arrival of its first packet, host clock, ns.
     pub host_ns: u64,
 }
 
-/// By trigger.
+/// What the frames of one camera show, by trigger.
 pub type Times = BTreeMap<u64, Seen>;
 
 /// A frame with its trigger's number (negative in the warm-up), and when that trigger was fired, HSU clock, ns.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame {
-    /// The trigger's number.
     pub number: i64,
-    /// When it was fired.
+    /// When the trigger was fired, HSU clock, ns.
     pub hsu_ns: i128,
-    /// What the frame says.
     pub seen: Seen,
 }
 
@@ -77,7 +74,7 @@ struct Part<'a> {
     begins: bool,
 }
 
-/// Which source contradicts.
+/// What each source shows of a part.
 struct Told {
     counter: Says,
     clock: Says,

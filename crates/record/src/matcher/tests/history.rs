@@ -33,12 +33,10 @@ impl Random {
     }
 }
 
-/// A camera's habits.
+/// How a simulated camera numbers, stamps and sends its frames.
 #[derive(Debug, Clone, Copy)]
 pub struct Traits {
-    /// Ids of 64 bits.
     pub wide: bool,
-    /// Frames carry timestamps.
     pub stamps: bool,
     /// Its clock can be read.
     pub clock: bool,
@@ -50,7 +48,6 @@ pub struct Traits {
     pub jitter: u64,
     /// The host takes packets off the socket so far apart, ns; 0: at once.
     pub batch_ns: u64,
-    /// Whether anything goes wrong.
     pub faults: bool,
     /// The host is busy: most frames are taken up at once, a third within a period, some later. Faults keep a distance of
     /// twelve triggers then, as those of the laboratory's plans do.
@@ -88,7 +85,7 @@ pub struct Report {
     pub heard_ns: u64,
 }
 
-/// What reaches the node.
+/// Something that reaches the node: a report, a frame or a reading.
 #[derive(Debug, Clone, Copy)]
 pub enum Arrives {
     Report(Report),

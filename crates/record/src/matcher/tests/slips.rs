@@ -4,10 +4,9 @@
 use super::history::{Arrives, HOST_MINUS_HSU_NS, History, Random, Report, Traits};
 use crate::base::ids::BlockId;
 
-/// What slips.
+/// The source that slips in a test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Source {
-    /// Block ids.
     Counter,
     /// Timestamps of frames; readings of the clock stay right.
     Stamps,
@@ -34,7 +33,7 @@ pub enum Before {
     Ignored(i64),
 }
 
-/// What stands still.
+/// The part of the host that stands still.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stall {
     /// The thread that receives the camera's packets: they get their time of arrival late.
@@ -43,7 +42,6 @@ pub enum Stall {
     Recorder,
     /// The thread of the HSU's link.
     Link,
-    /// The process.
     All,
 }
 

@@ -553,7 +553,7 @@ fn of_eventful_sessions(all: &mut Vec<Forgery>) {
     }
 }
 
-/// All of them.
+/// All forgeries that verification has to find.
 pub fn all() -> Vec<Forgery> {
     let mut all = Vec::new();
     of_eventful_sessions(&mut all);

@@ -11,7 +11,7 @@ use hsu_firmware_proto::{PAUSE_BEFORE, TriggerFlags};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// 50 Hz.
+/// Time from trigger to trigger at 50 Hz, ns.
 pub const PERIOD: i64 = 20_000_000;
 pub const TRIGGERS: i64 = 240;
 const SIDE: u32 = 4;
@@ -33,12 +33,11 @@ impl Random {
     }
 }
 
-/// A camera's habits.
+/// How a simulated camera stamps and sends its frames.
 #[derive(Clone, Copy)]
 pub struct Habits {
     pub name: &'static str,
     pub stamps: bool,
-    /// Its clock is read.
     pub clock: bool,
     /// From trigger to stamp and to arrival, hundredths of a period.
     pub stamp: i64,
@@ -110,14 +109,13 @@ pub enum Happens {
     MissesFirst,
     /// The recording begins so many triggers behind the warm-up.
     BeforeRecord(i64),
-    /// Until stop.
     Endless,
 }
 
 /// A frame of a trigger.
 pub type Frames = BTreeMap<i64, Seen>;
 
-/// A recording.
+/// A recording that tests make and damage.
 #[derive(Clone)]
 pub struct Take {
     pub header: RecordingHeader,
