@@ -15,7 +15,7 @@ const MAX_LINES: usize = 20;
 /// Describe a session, a recording or a segment: who, when, which cameras, how many triggers, what is missing.
 #[derive(clap::Args)]
 #[command(after_help = "\
-Works on interrupted and damaged recordings too, and says what is missing. Checksums are not computed: see
+Works on interrupted and damaged recordings too, and lists what is missing. Checksums are not computed: see
 `fourdbody verify`. Clocks are fitted again from the recorded exchanges: offset is the device's clock minus the
 host's, skew how much faster it runs, residual the median distance of the last exchanges from the fit, and
 open what round trips leave uncertain.

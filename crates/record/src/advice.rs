@@ -61,7 +61,7 @@ pub(super) fn advise(recording: &mut RecordingReader) {
 const DISTANCES: usize = 9;
 /// Distances below which a rhythm may be chance.
 const ENOUGH: u64 = 5;
-/// A camera that has none of this number of triggers did not wake up late: it was not there.
+/// Triggers without a frame at the beginning beyond which a camera did not wake up late, but was absent.
 const LATEST: u64 = 1000;
 
 /// Distances between triggers of one kind, as far as they come in order.
@@ -162,7 +162,7 @@ impl Rhythm {
         };
         Some(if unknown * 2 > first {
             format!(
-                "{id} sent frames of {none}, and too little was heard of the warm-up to know which were which; raise \
+                "{id} sent frames of {none}, but too few frames of the warm-up arrived to know their triggers; raise \
                  warm_up_triggers in the rig file"
             )
         } else {
@@ -248,7 +248,7 @@ mod tests {
         }
         let unknown = |trigger: u64| (trigger < 9).then_some(GapCause::IdentityMismatch);
         let said = advice(120, unknown).expect("late");
-        assert!(said.contains("heard of the warm-up") && !said.contains("woke"), "{said}");
+        assert!(said.contains("frames of the warm-up") && !said.contains("woke"), "{said}");
     }
 
     #[test]

@@ -29,7 +29,7 @@ impl fmt::Display for SessionMark {
     }
 }
 
-/// What a small record says besides its own fields.
+/// The fields of a small record that show where it belongs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Label {
     pub session: Option<SessionMark>,
@@ -74,7 +74,7 @@ fn parse(text: &str) -> Option<SessionMark> {
     u64::from_str_radix(text, 16).ok().filter(|_| text.len() == 16).map(SessionMark)
 }
 
-/// What the records of a recording have to say about their session.
+/// The mark that the records of a recording must have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Belonging {
     /// Their mark; `None` where the session's id is not known: then nothing is checked.
@@ -108,7 +108,7 @@ impl Belonging {
         }
     }
 
-    /// Says what is wrong with a record that [`Self::admits`] refuses.
+    /// As [`Self::admits`], with an error that names both marks.
     pub fn check(&self, found: Option<SessionMark>) -> Result<(), String> {
         let shown = |mark: Option<SessionMark>| mark.map_or("none".to_owned(), |mark| mark.to_string());
         if self.admits(found) {

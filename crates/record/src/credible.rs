@@ -25,7 +25,7 @@ impl RecordingReader {
             return;
         };
         let message = format!(
-            "records of triggers {end} to {} are left out: so many triggers are not in a recording of {bytes} bytes",
+            "records of triggers {end} to {} are left out: a recording of {bytes} bytes cannot have that many triggers",
             last - 1
         );
         self.problem(segment, None, Some(last - 1), message);
@@ -36,7 +36,7 @@ impl RecordingReader {
         }
     }
 
-    /// What a segment's metadata says beside its header: the same names, and triggers that a session can have.
+    /// Checks what a segment's metadata states beside its header: the same names, and triggers that a session can have.
     pub(super) fn check_names(
         &mut self,
         segment: &SegmentReader,
@@ -50,7 +50,7 @@ impl RecordingReader {
         ];
         for (key, expected) in names {
             if let Some(found) = entries.get(key).filter(|found| *found != expected) {
-                let message = format!("its metadata says {key} {found:?}, its header {expected:?}");
+                let message = format!("its metadata states {key} {found:?}, its header {expected:?}");
                 self.problem(segment.number, None, None, message);
             }
         }

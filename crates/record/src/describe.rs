@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a recording is, for people: outcomes per camera, events by kind, clocks, segments, and what is missing.
+//! A recording described for people: outcomes per camera, events by kind, clocks, segments, and what is missing.
 //!
 //! Nothing is checked here that opening a recording does not check; that is [`super::verify`].
 
@@ -67,7 +67,7 @@ impl std::fmt::Display for TimeCodeDescription {
         let runs = if *runs == 1 { "without a jump".to_owned() } else { format!("in {runs} pieces") };
         match first.as_ref().zip(last.as_ref()) {
             Some((first, last)) => write!(f, "{first} to {last}, {runs}; {triggers} triggers have one"),
-            None => write!(f, "heard {runs}, and at no trigger"),
+            None => write!(f, "received {runs}, but at no trigger"),
         }
     }
 }
@@ -105,7 +105,7 @@ pub struct SegmentDescription {
     pub bytes: u64,
     /// First trigger that belongs to it.
     pub first_trigger: u64,
-    /// First trigger that belongs to the next one, as it says; not known in the last one and in one that is not closed.
+    /// First trigger of the next segment, as this one states it; not known in the last one and in one that is not closed.
     pub end_trigger: Option<u64>,
     /// One more than the highest trigger of which it has a frame.
     pub frames_end: Option<u64>,
@@ -166,7 +166,7 @@ pub fn events(recording: &RecordingReader) -> Vec<EventKind> {
     kinds.into_values().collect()
 }
 
-/// The time code; `None` where none was heard.
+/// The time code; `None` where none was received.
 pub fn time_code(recording: &RecordingReader) -> Option<TimeCodeDescription> {
     let line = TimeCodeLine::of(&recording.events);
     let runs: BTreeSet<u64> = line.heard().map(|heard| heard.run).collect();

@@ -2,7 +2,7 @@
 //! Bytes to the disk past the page cache.
 //!
 //! A buffered writer at 1.1 GB/s fills the page cache until the kernel makes the writer wait for seconds;
-//! `O_DIRECT` keeps the pace of the disk. It wants addresses, offsets and lengths in multiples of
+//! `O_DIRECT` keeps the pace of the disk. It requires addresses, offsets and lengths in multiples of
 //! [`BLOCK`]. Where a file system refuses it, the same writes go through the page cache.
 
 use super::statistics::DiskAccess;
@@ -119,7 +119,7 @@ fn write_all_vectored_at(file: &File, mut offset: u64, mut parts: &mut [IoSlice<
             && written > 0
             && soft_limit(libc::RLIMIT_FSIZE).is_some_and(|limit| offset + BLOCK as u64 > limit)
         {
-            // The next write would say so, if there were blocks small enough.
+            // The next write would fail with this error, if it could write less than a block.
             return Err(io::Error::from_raw_os_error(libc::EFBIG));
         }
         if whole == 0 {

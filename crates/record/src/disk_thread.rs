@@ -37,7 +37,7 @@ pub(super) struct Batch {
     pub end: u64,
 }
 
-/// What the thread is asked for.
+/// A command to the thread; they are carried out in order.
 pub(super) enum Command {
     Write(Batch),
     Sync,
@@ -47,7 +47,7 @@ pub(super) enum Command {
     Abandon,
 }
 
-/// What came of a command.
+/// The result of a command.
 pub(super) enum Outcome {
     /// Everything below is in the file.
     Written(u64),

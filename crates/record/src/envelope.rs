@@ -63,7 +63,7 @@ pub fn pixels_crc(pixels: &[u8]) -> u32 {
 pub struct Envelope<'a> {
     pub camera: &'a str,
     pub meta: FrameMeta,
-    /// The session that it is of; messages of version 1 do not say.
+    /// Mark of its session; messages of version 1 have none.
     pub session: Option<SessionMark>,
     /// Where the pixels are in the message; they reach to its end.
     pub pixels: Range<usize>,
@@ -87,7 +87,7 @@ pub enum EnvelopeError {
 }
 
 /// Writes the envelope to the end of `room`, so that the pixels that follow in the same buffer continue it,
-/// and returns its length: the message is the last so many bytes of `room` and the pixels.
+/// and returns its length: the message is that many last bytes of `room`, and the pixels.
 ///
 /// `room` of [`ENVELOPE_CAPACITY`] bytes always suffices. The recording that takes the message marks it with its session.
 pub fn write_envelope(room: &mut [u8], camera: &CameraId, meta: &FrameMeta) -> Result<usize, EnvelopeError> {
@@ -109,7 +109,7 @@ pub(super) fn marked(session: SessionMark, message: &[u8]) -> Result<Vec<u8>, En
 }
 
 /// As [`write_envelope`], but the envelope becomes exactly `length` bytes long, by a field of zeros that every
-/// reader skips: so the pixels begin where the disk wants them. [`padded_lengths`] says what is possible.
+/// reader skips: so the pixels begin where the disk requires it. [`padded_lengths`] gives the possible lengths.
 pub(super) fn write_padded_envelope(
     room: &mut [u8],
     session: Option<SessionMark>,

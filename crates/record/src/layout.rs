@@ -87,12 +87,12 @@ pub fn segment_number(name: &str) -> Option<u32> {
     (digits.len() >= 3 && digits.bytes().all(|b| b.is_ascii_digit())).then(|| digits.parse().ok())?
 }
 
-/// The kind of the event that names, as its message, a node of the rig that was not asked to take part: the session is one of a part
-/// of the rig, as somebody wished.
+/// Kind of the event whose message names a node of the rig that does not take part: the session is of a part of the rig, as
+/// requested.
 pub const NOT_ASKED: &str = "node_not_asked";
 
-/// Kind of the events whose message is what a camera says of PTP: at the beginning where it is on, at each change, and at
-/// the end.
+/// Kind of the events whose message is a camera's PTP status: at the beginning where PTP is on, at each change, and at the
+/// end.
 pub const PTP_STATUS: &str = "ptp_status";
 
 /// Whether PTP keeps the clock of a camera with this status.
@@ -150,7 +150,7 @@ pub struct RecordingHeader {
     pub cameras: Vec<CameraHeader>,
     /// The HSU; `None` for images that were imported.
     pub hsu: Option<HsuIdentity>,
-    /// Triggers asked for; `None` runs until stop.
+    /// Triggers requested; `None` runs until stop.
     pub expected_triggers: Option<u64>,
     pub trigger_rate_hz: f64,
     /// Name of the clock behind every `host_time_ns`, for instance `CLOCK_REALTIME`: UTC, ns since 1970 without leap seconds.
@@ -192,11 +192,11 @@ pub enum GapCause {
     IdentityMismatch,
     /// Imported images: there was no file for this trigger.
     NotRecorded,
-    /// The node's process stood still, and frames of this trigger did not survive it: the whole set is given up.
+    /// The node's process stood still, and frames of this trigger were lost meanwhile: the whole set is given up.
     NodePaused,
     /// The frame was recorded, but is damaged (written by `recover`).
     Damaged,
-    /// Nothing is known; also stands for causes of a later version.
+    /// The cause is not known, or is one of a later version.
     #[serde(other)]
     Unknown,
 }
@@ -297,20 +297,20 @@ impl NodeEvent {
         (self.kind == kind).then(|| serde_json::from_str(&self.message).ok())?
     }
 
-    /// Says that a segment stays open because the disk refused it.
+    /// The event of a segment that stays open because the disk refused it.
     pub(super) fn segment_given_up(number: u32, host_time_ns: u64) -> Self {
         let message = format!("{}: refused by the disk; what it lost is accounted for", segment_name(number));
         Self::new(GIVEN_UP, host_time_ns, message)
     }
 
-    /// Whether it says that of this segment.
+    /// Whether it is that event of this segment.
     pub(super) fn gives_up(&self, number: u32) -> bool {
         let named = self.message.split(':').next();
         self.kind == GIVEN_UP && named.and_then(segment_number) == Some(number)
     }
 }
 
-/// What was seen in the warm-up: raw, so that the beginning of every stream can be found again from the files.
+/// A raw sample of the warm-up, from which the beginning of every stream can be found again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum WarmUp {

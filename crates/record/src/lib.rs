@@ -18,7 +18,7 @@ mod direct_io;
 mod disk_thread;
 pub mod envelope;
 mod frame_check;
-/// What is asked of Linux: real-time threads, locked memory, idle processes.
+/// Linux: real-time threads, locked memory, frame memory, idle processes.
 pub mod host;
 mod input_edge;
 pub mod layout;

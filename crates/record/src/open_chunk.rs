@@ -330,7 +330,7 @@ impl Window {
 impl Drop for Window {
     fn drop(&mut self) {
         if !self.closed && self.kept.is_none() {
-            // Somebody gave up before `finish`: keep what there is. There is nobody left to tell.
+            // The segment was dropped before `finish`: what there is is kept. An error cannot be reported any more.
             let _ = self.close();
         }
     }

@@ -24,21 +24,21 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::PathBuf;
 
-/// Notes about one recording beyond this many are dropped: the first ones say what is wrong.
+/// Problems of one recording beyond this many are dropped: the first ones show what is wrong.
 const MAX_PROBLEMS: usize = 1000;
 
 /// Why a recording could not be opened at all.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ReadError {
-    /// There is none where one was named: a mistake of whoever named it.
+    /// There is no recording at the path: a mistake in the command.
     #[error("{0}")]
     Absent(String),
-    /// It is there and cannot be read, or is none of ours any more.
+    /// There is one that cannot be read, or that is no recording of this program.
     #[error("{0}")]
     Unreadable(String),
 }
 
-/// Something about a segment's records that is not as it should be.
+/// Something wrong with the records of a segment.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problem {
     pub segment: u32,
@@ -57,7 +57,7 @@ pub struct SegmentReader {
     /// No frame from this trigger on belongs to it; unknown in the last segment and after a crash.
     pub end_trigger: Option<u64>,
     pub end: End,
-    /// `None` where it cannot be opened; [`Self::end`] says why.
+    /// `None` where it cannot be opened; [`Self::end`] has the reason.
     pub(crate) file: Option<SegmentFile>,
 }
 
@@ -114,9 +114,9 @@ pub(crate) enum Outcome {
 pub struct RecordingReader {
     /// Its directory, or the single segment.
     pub path: PathBuf,
-    /// What it says about itself.
+    /// The header that most of its segments state.
     pub header: RecordingHeader,
-    /// What its records have to say about their session.
+    /// The mark that its records must have.
     pub(crate) belonging: Belonging,
     /// In the order of their numbers.
     pub segments: Vec<SegmentReader>,
@@ -407,7 +407,7 @@ impl RecordingReader {
                     segment.first_trigger = number(KEY_FIRST_TRIGGER).unwrap_or(0);
                     self.check_names(segment, entries, &stated.header);
                     if stated.number != segment.number {
-                        let message = format!("the file says that it is segment {}", stated.number);
+                        let message = format!("its header states segment number {}", stated.number);
                         self.problem(segment.number, None, None, message);
                     }
                     if stated.header != self.header {
@@ -545,8 +545,8 @@ impl RecordingReader {
         self.known_end().max(stated.min(MAX_TRIGGERS))
     }
 
-    /// Whether it was broken off, as its verdict says, and never learned how many triggers the HSU emitted: the session may
-    /// have more than it has outcomes for.
+    /// Whether it was aborted, by its verdict, and never received the HSU's count: the session may have more triggers than it
+    /// has outcomes for.
     fn ended_unknowing(&self) -> bool {
         self.verdict
             .as_ref()

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Walks the records of an MCAP file, as far as they are whole.
 //!
-//! Made for files that a crash has cut, for disks that fail, and for bytes that nobody vouches for: what is allocated by
-//! a length found in the file is bounded, no record is trusted to fit, pixels are not read. A record that cannot be
+//! Made for files that a crash has cut, for disks that fail, and for untrusted bytes: what is allocated by a length found in
+//! the file is bounded, no record is assumed to fit, pixels are not read. A record that cannot be
 //! read is passed over where its length is known.
 //! Record layouts: <https://mcap.dev/spec>.
 
@@ -32,7 +32,7 @@ const MAX_CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4 + 64 + 8;
 /// A message's record without its payload: preamble, channel, sequence, two times.
 pub const MESSAGE_HEADER: usize = PREAMBLE + 2 + 4 + 8 + 8;
 
-/// What a metadata record says.
+/// The entries of a metadata record: keys and texts.
 pub type Entries = BTreeMap<String, String>;
 
 /// Something found in the file, in file order.
@@ -119,7 +119,7 @@ impl<'a> Walker<'a> {
         let mut walker = Self::resume(file, MAGIC.len());
         let length = file.len().min(MAGIC.len());
         match walker.pieces.get(0..length) {
-            // The magic says nothing that the records behind it do not say.
+            // The records behind the magic prove as much as the magic.
             Err(_) => {}
             Ok(bytes) if bytes == MAGIC => {}
             Ok(bytes) if MAGIC.starts_with(bytes) => walker.end = Some(End::Cut { at: 0 }),
@@ -381,7 +381,7 @@ impl ChunkHeader {
     }
 }
 
-/// What a record of one of our kinds says; of a message, `bytes` are its header.
+/// The event of a record of one of our kinds; of a message, `bytes` are its header.
 fn event(opcode: u8, bytes: &[u8], start: usize, body: &Range<usize>) -> Option<Event> {
     let mut fields = Fields { bytes, position: 0 };
     match opcode {

@@ -33,7 +33,7 @@ const FILLER: u8 = 0x80;
 /// Staging memory: headers, envelopes and tails of the frames of a chunk, and room for small records.
 const STAGING_BYTES: usize = 256 << 10;
 
-/// What the last segment says besides its own records.
+/// What the last segment has besides its own records.
 pub(super) struct Closing<'a> {
     pub verdict: &'a Verdict,
     /// Small records that the recording has.
@@ -53,7 +53,7 @@ pub enum JsonChannel {
 
 /// A segment being written: one MCAP file of a recording.
 ///
-/// The recording makes it when the first session's trigger or the last split calls for one, and owns it. It promises that the
+/// The recording makes one when it is created and at each split, and owns it. It promises that the
 /// file is a readable prefix at every instant. It ends with [`Self::finish`]; after a failed write its window is abandoned.
 pub struct Segment {
     mcap: mcap::Writer<Handle>,
@@ -80,8 +80,7 @@ impl Segment {
         version: u32,
     ) -> io::Result<Self> {
         let window = Arc::new(Mutex::new(Window::new(store, STAGING_BYTES)?));
-        // Chunks end where `commit` says; see docs/design/recording.md for why seeking is allowed, and the
-        // window for the checksums.
+        // `commit` ends chunks. docs/design/recording.md explains why seeking is allowed; the window adds the checksums.
         let options = mcap::WriteOptions::new()
             .compression(None)
             .chunk_size(None)

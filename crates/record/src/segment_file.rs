@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A segment as a file that may fail while it is read.
 //!
-//! Recordings are read with calls that return errors, never through a mapping: a bad sector, or a file that somebody
-//! cuts, would end the program with a signal. What cannot be read is remembered and not tried again, because a disk
+//! Recordings are read with calls that return errors, never through a mapping: a bad sector, or a file that is cut
+//! meanwhile, would end the program with a signal. What cannot be read is remembered and not tried again, because a disk
 //! takes seconds for each attempt; everything else is used. `docs/design/recording.md`, "Reading", has the rules.
 
 use crate::base::regular;
@@ -15,9 +15,9 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// What is given up at once, bytes: disks and page cache fail in units of this size at least.
+/// Smallest unit that is given up, bytes: disks and page cache fail in units of this size at least.
 const BLOCK: usize = 4096;
-/// Behind so many bytes in a row that cannot be read, the disk is asked less often: a block in each [`STRIDE`].
+/// Bytes in a row that cannot be read behind which only one block in each [`STRIDE`] is tried.
 const PATIENCE: usize = 64 * BLOCK;
 /// Bytes between the blocks that are tried behind [`PATIENCE`]: a large bad area takes seconds, not hours.
 const STRIDE: usize = 1 << 20;
@@ -50,10 +50,10 @@ pub struct SegmentFile {
 }
 
 impl SegmentFile {
-    /// Opens a regular file, or a link to one. Never waits: a pipe has nobody at its other end.
+    /// Opens a regular file, or a link to one. Never waits, as opening a pipe without a writer would.
     ///
     /// # Errors
-    /// What the system says, or what is there instead.
+    /// The error of the system, or what is there instead of a regular file.
     pub fn open(path: &Path) -> io::Result<Self> {
         let file = regular::open(path)?;
         let metadata = file.metadata()?;
@@ -121,7 +121,7 @@ impl SegmentFile {
                     let block = offset - offset % BLOCK;
                     let rest = block + BLOCK - offset;
                     if end - done > rest {
-                        // The call fails as a whole for one bad block of many: which one is it?
+                        // The call fails as a whole for one bad block of many: the blocks are read one by one.
                         at_most = rest;
                         continue;
                     }
@@ -138,7 +138,7 @@ impl SegmentFile {
         let mut bad = self.lock();
         let place = bad.partition_point(|known| known.from < new.from);
         if let Some(known) = bad.get(place).filter(|known| known.from == new.from) {
-            // Somebody else has asked at the same time.
+            // Another thread has read it at the same time.
             return known.clone();
         }
         if bad.len() >= MAX_PLACES {

@@ -126,14 +126,14 @@ pub(super) fn unfinished(dir: &Path) -> Option<String> {
 pub struct Unreadable {
     /// Its directory, or the single segment.
     pub path: PathBuf,
-    /// The node, by the directory's name; empty where that says nothing.
+    /// The node, by the directory's name; empty where that names none.
     pub node: String,
     /// What was expected and found.
     pub reason: String,
 }
 
 impl Unreadable {
-    /// What to call it: its node, or its path where that says nothing.
+    /// Its name for people: its node, or its path where the node is not known.
     pub fn name(&self) -> String {
         if self.node.is_empty() { self.path.display().to_string() } else { format!("node {}", self.node) }
     }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// A code as the HSU heard it.
+/// A code as the HSU received it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeardTimeCode {
     /// Consecutive since the HSU was switched on.
@@ -30,7 +30,7 @@ pub struct HeardTimeCode {
 const KIND: &str = "time_code";
 
 impl HeardTimeCode {
-    /// As an event; `host_time_ns` is when it was heard of.
+    /// As an event; `host_time_ns` is when the node received it.
     pub fn event(&self, host_time_ns: u64) -> NodeEvent {
         NodeEvent::of_json(KIND, host_time_ns, self)
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! By which scale a camera's clock counts: told by how far it is ahead of the host's clock, which counts UTC.
+//! The time scale of a camera's clock: found from how far it is ahead of the host's clock, which counts UTC.
 //!
-//! PTP's own scale is TAI. A grandmaster may hand out another one, or count from wherever it began, and a camera does not say
+//! PTP's own scale is TAI. A grandmaster may hand out another one, or count from wherever it began, and a camera does not report
 //! which. So it is measured, as well as the host's clock is right.
 
 use super::layout::ClockSample;
@@ -9,7 +9,7 @@ use crate::base::ids::CameraId;
 use serde::Serialize;
 use std::fmt;
 
-/// TAI is ahead of UTC by so much, since the last leap second that was inserted.
+/// TAI minus UTC, ns: 37 s since the last leap second that was inserted.
 const TAI_AHEAD_NS: i64 = 37_000_000_000;
 /// A host whose clock is kept by NTP or PTP is nearer to UTC than this.
 const NEAR_NS: u64 = 500_000_000;

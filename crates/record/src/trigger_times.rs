@@ -2,7 +2,7 @@
 //! When the triggers of a session were: by the HSU's own clock, put on the clock of a node.
 //!
 //! From trigger to trigger the HSU's times are right to a microsecond; arrivals of reports and frames are late by whatever held them
-//! up. So the table gives the rhythm, and the one report that was held up least says where it lies on the host's clock.
+//! up. So the table gives the rhythm, and the one report that was held up least places it on the host's clock.
 
 use super::layout::TriggerRecord;
 use super::reader::RecordingReader;
@@ -30,14 +30,14 @@ impl TriggerTimes {
         table.or_else(|| (!recordings.is_empty()).then_some(Self::Nominal))
     }
 
-    /// Host time of a trigger, ns since 1970. One that no node has heard of is as many nominal periods from its neighbour.
+    /// Host time of a trigger, ns since 1970. One that no node has in its table lies whole nominal periods from its neighbour.
     pub(super) fn at(&self, recordings: &[RecordingReader], trigger: TriggerIndex) -> Option<u64> {
         let Self::Table { recording, host_minus_hsu_ns } = *self else {
             let header = &recordings.first()?.header;
             let since = (trigger.0 as f64 * 1e9 / header.trigger_rate_hz).round() as u64;
             return header.created_ns.checked_add(since);
         };
-        // All nodes heard the same HSU, and what one of them missed another may have.
+        // All nodes receive the reports of the same HSU, and what one of them missed another may have.
         let known = recordings.iter().find_map(|recording| recording.triggers.get(&trigger));
         let hsu_ns = known.map(|row| i128::from(row.hsu_time_ns)).or_else(|| {
             let recording = recordings.get(recording)?;

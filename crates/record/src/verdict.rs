@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Counting outcomes: which triggers of a camera have one, and what a session amounts to at its end.
+//! Counting outcomes: which triggers of a camera have one, and the verdict on a session at its end.
 
 use super::advice::{Advice, Rhythm};
 use super::layout::{GapCause, MAX_TRIGGERS, RecordingHeader};
@@ -10,15 +10,15 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::Range;
 
-/// What a session amounts to, from the best to the worst.
+/// The verdict on a session in one word, from the best to the worst.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// Every camera has a frame for every trigger that was asked for.
+    /// Every camera has a frame for every trigger that was requested.
     Complete,
-    /// As [`Self::Complete`], but of some frames one witness alone says which trigger they are of, or how they were taken
-    /// is in doubt: a camera's settings changed, or exposures of a trigger were not at one time.
+    /// As [`Self::Complete`], but the trigger of some frames rests on one source alone, or how they were taken is in doubt:
+    /// a camera's settings changed, or exposures of a trigger were not at one time.
     Unconfirmed,
     /// Something is missing, and it is known what and why.
     Incomplete,
@@ -60,7 +60,10 @@ impl CameraVerdict {
     }
 }
 
-/// What one node's recording amounts to.
+/// The verdict on one node's recording: complete or not, with all counts.
+///
+/// The recording computes it when it is finished, stores it in the last segment and returns it; `verify` computes it again from
+/// the records.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Verdict {
@@ -77,7 +80,7 @@ pub struct Verdict {
     /// Outcomes that were refused: a second one for a trigger, or one that lies outside the session. Each
     /// is an event in the recording.
     pub refused: u64,
-    /// Cameras of which one witness alone says which trigger some frames are of. Each is an event in the recording.
+    /// Cameras of which the trigger of some frames rests on one source alone. Each is an event in the recording.
     #[serde(default)]
     pub unconfirmed: u64,
     /// Settings that were not as they had been set when the session ended, each with its camera.
@@ -140,11 +143,11 @@ impl Verdict {
 
     /// Derives the status from everything else.
     pub fn judge(&self) -> Status {
-        let asked = self.triggers_expected.is_none_or(|n| n == self.triggers);
+        let as_requested = self.triggers_expected.is_none_or(|n| n == self.triggers);
         let counted = self.triggers_emitted == Some(self.triggers);
         if self.aborted.is_some() {
             Status::Aborted
-        } else if asked && counted && self.gaps() == 0 && self.refused == 0 {
+        } else if as_requested && counted && self.gaps() == 0 && self.refused == 0 {
             if self.unconfirmed == 0 && self.changed.is_empty() && self.not_simultaneous.is_empty() {
                 Status::Complete
             } else {
@@ -162,7 +165,7 @@ impl fmt::Display for Verdict {
         let (triggers, frames, gaps) = (self.triggers, self.frames(), self.gaps());
         write!(f, "{word}: {triggers} triggers, {frames} frames, {gaps} gaps")?;
         match (self.triggers_expected, self.triggers_emitted) {
-            (Some(n), _) if n != triggers => write!(f, " ({n} triggers were asked for)")?,
+            (Some(n), _) if n != triggers => write!(f, " ({n} triggers were requested)")?,
             (_, None) => write!(f, " (the HSU's count is missing)")?,
             (_, Some(n)) if n != triggers => write!(f, " (the HSU counted {n})")?,
             _ => {}
@@ -172,7 +175,10 @@ impl fmt::Display for Verdict {
         }
         if self.unconfirmed > 0 {
             let cameras = self.unconfirmed;
-            write!(f, "; of {cameras} cameras one witness alone says which trigger some frames are of")?;
+            write!(
+                f,
+                "; of {cameras} cameras the trigger of some frames is not proven: one source alone names it"
+            )?;
         }
         if !self.changed.is_empty() {
             write!(f, "; settings changed while it ran: {}", self.changed.join("; "))?;
@@ -193,7 +199,7 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// How a session ended, as the one who ran it knows.
+/// How a session ended, as the node that ran it knows.
 #[derive(Debug, Clone)]
 pub struct SessionEnd {
     /// Triggers that the HSU reports to have emitted.

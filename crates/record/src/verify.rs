@@ -33,13 +33,13 @@ const MAX_FINDINGS: usize = 10_000;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// Worth knowing; nothing is wrong.
+    /// Information; nothing is wrong.
     Note,
-    /// Nothing contradicts it, but nothing confirms it: one source alone says it, or frames were not taken as agreed.
+    /// Nothing contradicts it, but nothing confirms it: it rests on one source, or frames were not taken as agreed.
     Unconfirmed,
-    /// Data is missing, and the recording says what and why.
+    /// Data is missing, and the recording states what and why.
     Loss,
-    /// Data is damaged, contradicts itself, or is missing without a word.
+    /// Data is damaged, contradicts itself, or is missing without a record of it.
     Corrupt,
 }
 

@@ -85,8 +85,8 @@ pub struct Recording {
     latencies: Latencies,
     /// Counts of segments that are no longer open.
     past: WriteStatistics,
-    /// What the recording says instead of its own statistics.
-    told: Option<Option<WriteStatistics>>,
+    /// Statistics that the recording states instead of its own.
+    stated_statistics: Option<Option<WriteStatistics>>,
 }
 
 impl Recording {
@@ -153,7 +153,7 @@ impl Recording {
             unlooked: 0,
             latencies: Latencies::default(),
             past: WriteStatistics::default(),
-            told: None,
+            stated_statistics: None,
         };
         let begun = recording.open_segment(0).map_err(disk).and_then(|()| recording.sync());
         let begun = begun.and_then(|()| recording.settle_all());
@@ -286,7 +286,7 @@ impl Recording {
         let described = self.described(camera)?;
         if (meta.width, meta.height) != (described.width, described.height) {
             let reason = format!(
-                "the frame is {} x {}, the header says {} x {}",
+                "the frame is {} x {}, the header states {} x {}",
                 meta.width, meta.height, described.width, described.height
             );
             return Err(RecordError::Frame { camera, reason });
@@ -331,9 +331,9 @@ impl Recording {
         self.json(JsonChannel::Events, self.newest(), event.host_time_ns, event)
     }
 
-    /// Lets the recording state these statistics, or none, instead of its own: a copy says how the original was made.
+    /// Lets the recording state these statistics, or none, instead of its own: a copy states how the original was made.
     pub(super) fn state_statistics(&mut self, statistics: Option<WriteStatistics>) {
-        self.told = Some(statistics);
+        self.stated_statistics = Some(statistics);
     }
 
     /// Keeps the promise on durability while nothing is recorded: call it at least every sync interval.
@@ -377,8 +377,8 @@ impl Recording {
         }
         self.next = None;
         let own = self.statistics();
-        let told = self.told;
-        let statistics = told.as_ref().map_or(Some(&own), Option::as_ref);
+        let stated = self.stated_statistics;
+        let statistics = stated.as_ref().map_or(Some(&own), Option::as_ref);
         let mut last = self.segments.pop_back();
         let mut result = Ok(());
         while let Some(mut entry) = self.segments.pop_front() {

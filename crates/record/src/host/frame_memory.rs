@@ -170,7 +170,7 @@ impl Pool {
     }
 }
 
-/// Bytes that a block takes of the memory, for so many that are received: whole pages, so that all pixels start on one.
+/// Bytes of memory of a block that receives `received_bytes`: whole pages, so that the pixels of all blocks start on one.
 pub fn block_bytes(received_bytes: usize) -> usize {
     Sizes::new(received_bytes, received_bytes).in_memory()
 }

@@ -35,7 +35,7 @@ mod tests {
     /// Whether the page of this address is mapped.
     fn is_mapped(address: usize) -> bool {
         let mut resident = 0;
-        // SAFETY: the call only looks at the page table, and writes one byte for the one page that it is asked about.
+        // SAFETY: the call only looks at the page table, and writes one byte for the one page of the address.
         unsafe { libc::mincore((address & !4095) as *mut libc::c_void, 1, &mut resident) == 0 }
     }
 

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 /// Bytes that can be had without swapping: by the kernel's estimate, and by the limit of this process' control group.
-/// `None` where the system does not say.
+/// `None` where the system does not report it.
 pub fn available() -> Option<u64> {
     let of_host = bytes_of("MemAvailable:", &fs::read_to_string("/proc/meminfo").ok()?)?;
     let of_group = fs::read_to_string("/proc/self/cgroup").ok().and_then(|text| {

@@ -53,8 +53,8 @@ impl ProcessMemory {
         Self { at_start: text.ok().and_then(|text| Counted::in_status(&text)) }
     }
 
-    /// Refuses a session of so many cameras, with so many bytes of memory for frames, that the limits of the process as they
-    /// are now have no room for.
+    /// Refuses a session of `cameras` cameras with `frame_bytes` bytes of memory for frames, if the present limits of the
+    /// process have no room for it.
     ///
     /// # Errors
     /// The limit by name, what it is and what it would have to be.
@@ -108,19 +108,19 @@ mod tests {
         let at_start = Counted::in_status(text).expect("both lines");
         assert_eq!(at_start, Counted { address_space: 100 * MIB, data: 50 * MIB });
         assert_eq!(Counted::in_status("VmSize: 1 kB\n"), None);
-        let told = |address_space: Option<u64>, data: Option<u64>| {
+        let refusal_of = |address_space: Option<u64>, data: Option<u64>| {
             let [address_space, data] = [address_space, data].map(|mib| mib.map(|mib| mib * MIB));
             refusal(at_start, Limits { address_space, data }, 2, 4, 600 * MIB)
         };
         // 28 threads: 224 MiB of stacks; 16 arenas of 64 MiB.
-        assert_eq!((told(None, None), told(Some(2204), Some(1186))), (None, None));
-        let refused = told(Some(2203), None).expect("too little");
+        assert_eq!((refusal_of(None, None), refusal_of(Some(2204), Some(1186))), (None, None));
+        let refused = refusal_of(Some(2203), None).expect("too little");
         assert!(
             refused.contains("RLIMIT_AS lets this process have 2203 MiB, expected at least 2204 MiB"),
             "{refused}"
         );
         assert!(refused.contains("600 MiB of them for frames") && refused.contains("LimitAS"), "{refused}");
-        assert!(told(None, Some(1185)).expect("too little").contains("RLIMIT_DATA"));
+        assert!(refusal_of(None, Some(1185)).expect("too little").contains("RLIMIT_DATA"));
         assert_eq!(ProcessMemory::at_start().check(1, 0), Ok(()), "tests run without limits");
     }
 }

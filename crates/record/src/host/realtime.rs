@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Real-time priority, cores and locked memory: asked for where configured, and what the system refuses is kept as a
+//! Real-time priority, cores and locked memory: requested where configured, and what the system refuses is kept as a
 //! warning for log, status and recording.
 //!
 //! The threads of the pixel path are started in several places, one of them inside Aravis: they all take what the
@@ -10,7 +10,7 @@ pub use crate::config::Realtime;
 use std::io;
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// Something that was asked of the system and refused.
+/// Something that was requested of the system and refused.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Warning {
     /// `realtime_refused` or `memory_not_locked`: the kind of the recording's event.
@@ -27,7 +27,7 @@ fn kept() -> MutexGuard<'static, Vec<Warning>> {
     WARNINGS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Sets what [`enter_configured`] asks for; the first call of the process counts.
+/// Sets what [`enter_configured`] requests; the first call of the process counts.
 pub fn configure(realtime: &Realtime) {
     CONFIGURED.get_or_init(|| realtime.clone());
 }
@@ -115,12 +115,12 @@ fn set_cpus(cpus: &[usize]) -> io::Result<()> {
     }
 }
 
-/// The process's soft limit of a resource; `None`: unlimited, or not told.
+/// The process's soft limit of a resource; `None`: unlimited, or not known.
 pub fn soft_limit(resource: libc::__rlimit_resource_t) -> Option<u64> {
     let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
     // SAFETY: the structure lives during the call, which only fills it.
-    let asked = unsafe { libc::getrlimit(resource, &mut limit) };
-    (asked == 0 && limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur)
+    let code = unsafe { libc::getrlimit(resource, &mut limit) };
+    (code == 0 && limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur)
 }
 
 /// A limit of the process as text, `unlimited` where there is none.

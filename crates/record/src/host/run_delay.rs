@@ -7,9 +7,9 @@ use std::os::unix::fs::FileExt;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Threads are looked at over so long at least.
+/// Shortest time over which a thread's counts are compared.
 const WINDOW: Duration = Duration::from_millis(200);
-/// What a busy host costs a thread each time it wants to run is less.
+/// Time without a processor, each time a thread wants to run, that is more than a busy host causes.
 const STILL: Duration = Duration::from_millis(50);
 
 /// What the kernel counts of a thread, in all or in a window.
@@ -61,11 +61,11 @@ struct Watched {
     last: (Counts, Duration),
 }
 
-/// A thread without a processor. In words it is what the host did.
+/// A thread that waited for a processor for most of a window.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Starved {
     pub role: String,
-    /// So long it waited for a processor.
+    /// Time that it waited for a processor, of the window.
     pub waited: Duration,
     pub window: Duration,
 }

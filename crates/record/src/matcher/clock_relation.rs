@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What frames themselves teach of the way from trigger to timestamp and to arrival.
 
-/// Share of a residual that the offset takes; the first frames' share is larger.
+/// Share of a residual by which the offset is corrected; that of the first frames is larger.
 const OFFSET_SHARE: f64 = 1.0 / 16.0;
-/// Share of a residual, by the time it took to arise, that the drift takes: slow enough for 200 us of noise.
+/// Share of a residual, per time since the last frame, by which the drift is corrected: slow enough for 200 us of noise.
 const DRIFT_SHARE: f64 = 1.0 / 1024.0;
-/// No pair of clocks drifts by more.
+/// Largest drift between two clocks that is followed, as a share of the rate.
 const DRIFT_LIMIT: f64 = 600e-6;
 
 /// A camera's clock against the HSU's, from frames whose trigger is known: a second-order tracking loop.

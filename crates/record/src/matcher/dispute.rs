@@ -4,7 +4,7 @@
 //! Counter and clock are two accounts of what the camera did. Each gives every frame a trigger, the frames behind
 //! included. The arrival decides between them, and only in one direction: nothing arrives before its trigger was fired.
 //! So the account that gives the **later** triggers is refuted by one frame that arrives too early for it. It is
-//! believed where so many frames arrive just in time for it that a host which stands still cannot explain them. Where
+//! accepted where more frames arrive just in time for it than a host that stood still can explain. Where
 //! neither happens, the frame is given up.
 
 use super::sighting::{Finding, Match, Sighting};
@@ -12,19 +12,19 @@ use super::{Case, Matcher};
 use crate::matcher::clock_relation::Tracker;
 use std::cmp::Ordering;
 
-/// Without timestamps, so many frames must be looked at behind a contradiction.
+/// Frames that must be considered behind a contradiction, for a camera without timestamps.
 const COUNTED: usize = 8;
-/// So many frames must be in time for the account that gives the later triggers.
+/// Frames that must be in time for the account that gives the later triggers.
 pub(super) const IN_TIME: usize = 3;
-/// Of the frames that should be in time, so many must be.
+/// Share of the frames expected in time that must be in time.
 const IN_TIME_SHARE: f64 = 0.75;
-/// No host takes up more frames at once than this share.
+/// Upper bound of the share of frames that a host takes up at once, so that no probability becomes zero.
 const MOST_QUICK: f64 = 0.98;
-/// So unlikely it must be that a host took up none of the frames at once.
+/// Probability below which it is excluded that a host took up none of the frames at once.
 const CHANCE: f64 = 1e-5;
-/// So many must be in time behind frames that were lost.
+/// Frames that must be in time behind frames that were lost.
 const IN_TIME_AGREED: usize = 2;
-/// So many frames behind one must stand alike; with no more to come, one.
+/// Frames behind one that must agree with each other; with no more to come, one is enough.
 const ALIKE: usize = 2;
 
 /// What counter and clock give a frame.
@@ -48,7 +48,7 @@ pub(super) enum Timing {
     InTime,
     /// Later than they, but not by a period.
     Slow,
-    /// By a period or more: that says nothing of which trigger it is.
+    /// By a period or more: that is no evidence of which trigger it is of.
     Late,
     /// How soon frames come, or when the trigger was fired, is not known.
     Unknown,
@@ -61,7 +61,7 @@ pub(super) struct Arrivals {
     pub(super) in_time: usize,
     /// In time, or not a period later.
     pub(super) soon: usize,
-    /// Frames of which the arrival says something or nothing.
+    /// All frames, those of unknown timing included.
     pub(super) frames: usize,
 }
 
@@ -118,7 +118,7 @@ impl Matcher {
             .followers
             .iter()
             .map_while(|frame| {
-                // Ids that do not go on end what they say of this one.
+                // Behind an id that does not increase, ids are no evidence for this frame.
                 let steps = self.ids.between(case.frame.id.0, frame.id.0);
                 let by_id = case
                     .by_id
@@ -206,7 +206,7 @@ impl Matcher {
     }
 
     /// Whether frames that came one by one, and not out of a queue, were all of them late, on a host that took up those
-    /// before as soon as they came: no host stands still for so long.
+    /// before as soon as they came: no host stands still for that long.
     fn stays_late<'a>(&self, chain: impl Iterator<Item = (&'a Sighting, i64)>) -> bool {
         let mut before = None;
         let one_by_one = chain.filter(|(frame, _)| {
@@ -246,7 +246,7 @@ impl Matcher {
 
     /// Counter and clock name different triggers, or the clock names none.
     fn disputed(&mut self, case: &Case<'_>, own: &Claim<'_>, behind: &[Claim<'_>]) -> Match {
-        // One that takes every second trigger does so again, and a busy host says nothing against it.
+        // A camera that takes every second trigger does so again, and a late arrival is no evidence against it.
         let again = |(last, number): (super::Last, i64)| self.pace == Some(number - last.number);
         if let Some(number) = own.by_clock
             && self.last.zip(own.by_clock).is_some_and(again)
@@ -420,7 +420,7 @@ impl Matcher {
     pub(super) fn by_counter_and_arrival(&mut self, case: &Case<'_>) -> Match {
         let mut before = 0;
         let behind = case.followers.iter().map_while(|frame| {
-            // Ids that do not go on end what they say of this one.
+            // Behind an id that does not increase, ids are no evidence for this frame.
             let steps = self.ids.between(case.frame.id.0, frame.id.0);
             let goes_on = steps > std::mem::replace(&mut before, steps);
             Some((frame, case.by_id.checked_add(steps).filter(|_| goes_on)?))

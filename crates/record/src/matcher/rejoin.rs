@@ -2,9 +2,9 @@
 //! The trigger of the first frame of a stream that begins while the train runs: a camera that is back, or one whose place
 //! was lost.
 //!
-//! Its ids say nothing yet. Its clock, read behind the frame, names a trigger, since what its stamps take from one was
+//! Its ids are no evidence yet. Its clock, read behind the frame, names a trigger, since what its stamps take from one was
 //! measured when the train began; of a clock that cannot be read, its relation from before must do. The arrivals of this
-//! frame and of those behind it must say the same. One of the two alone is not enough.
+//! frame and of those behind it must name the same. One of the two alone is not enough.
 
 use super::anchor::pace_of;
 use super::clock_relation::Tracker;
@@ -72,7 +72,7 @@ impl Matcher {
         answer
     }
 
-    /// Whether the frame before arrived as the ids say; this one is the next one's.
+    /// Whether this frame follows the one before as its id does, by their arrivals; keeps this one for the next call.
     pub(super) fn follows(&mut self, frame: &Sighting, number: Option<i64>) -> bool {
         let before = std::mem::replace(&mut self.arrived, number.map(|number| (frame.id, number)));
         before.zip(number).is_some_and(|((id, before), number)| {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is asked of the matcher, and what it answers.
+//! The input of the matcher, and its answers.
 
 use crate::base::ids::BlockId;
 
-/// What the witnesses say of one frame.
+/// What is seen of one frame: its id, its timestamp and its arrival.
 #[derive(Debug, Clone, Copy)]
 pub struct Sighting {
     pub id: BlockId,
@@ -28,13 +28,13 @@ pub enum Witness {
 /// What else a frame's witnesses show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Finding {
-    /// The id jumped by so many more than frames were lost (negative: it fell back).
+    /// The id jumped by this many more than frames were lost (negative: it fell back).
     IdJump(i64),
     /// The id is that of the frame before.
     IdRepeated,
-    /// The camera's clock was set anew, by about so many ns.
+    /// The camera's clock was set, by about this many ns.
     ClockReset(i128),
-    /// Its timestamp alone is wrong, by so many ns; `None`: it has none, and the camera's other frames have.
+    /// Its timestamp alone is wrong, by this many ns; `None`: it has none, and the camera's other frames have.
     StampWrong(Option<i128>),
 }
 
@@ -44,9 +44,9 @@ pub struct Matched {
     /// The trigger's number; negative in the warm-up.
     pub number: i64,
     pub witness: Witness,
-    /// So many triggers before it gave frames that were lost on the way.
+    /// Triggers before it whose frames were lost on the way.
     pub lost: u64,
-    /// So many triggers before it were ignored by the camera.
+    /// Triggers before it that the camera ignored.
     pub ignored: u64,
     pub finding: Option<Finding>,
 }
@@ -62,7 +62,7 @@ pub enum Match {
     Spurious(i64),
     /// Packets, no frame: its id is that of a trigger that has its outcome, or that had not been fired when it arrived.
     Stray,
-    /// Its witnesses contradict each other, and nothing says which of them is right.
+    /// Its witnesses contradict each other, and nothing decides which of them is right.
     Undecided,
     /// It came before the first trigger.
     BeforeTrain,

@@ -11,18 +11,19 @@ struct Row {
     hsu_ns: u64,
     /// Reported, and in rhythm with the reports before.
     sound: bool,
-    heard: bool,
+    /// Whether the HSU reported it, in rhythm or not.
+    has_report: bool,
     /// Not reported, and cameras agree on it.
     agreed: bool,
 }
 
 impl Row {
     fn reported(hsu_ns: u64, sound: bool) -> Self {
-        Self { hsu_ns, sound, heard: true, agreed: false }
+        Self { hsu_ns, sound, has_report: true, agreed: false }
     }
 
     fn calculated(hsu_ns: u64) -> Self {
-        Self { hsu_ns, sound: false, heard: false, agreed: false }
+        Self { hsu_ns, sound: false, has_report: false, agreed: false }
     }
 
     fn is_known(&self) -> bool {
@@ -33,7 +34,7 @@ impl Row {
 /// Times of the triggers so far, HSU clock, by number; warm-up triggers have negative numbers.
 ///
 /// The HSU's times are a source of their own and can be wrong. What tells is their rhythm (`hsu-protocol.md`): two triggers
-/// are at least 7/8 of a period apart, one that comes later than it should is flagged, and no report is heard before its
+/// are at least 7/8 of a period apart, one that comes later than it should is flagged, and no report arrives before its
 /// trigger was fired. A report that contradicts this is kept out: its trigger counts as not reported, and so do those
 /// behind it, until a report is in rhythm with the last sound one again.
 #[derive(Debug, Default)]
@@ -65,7 +66,7 @@ struct Anchor {
 /// Longest table: eleven days at 120 Hz. A wild number must not allocate without bound.
 const TRIGGERS_MAX: i64 = 120_000_000;
 const WARM_UP_MAX: i64 = 1_000_000;
-/// Most reports that may be missing in a row.
+/// Most reports that may be missing in a row: it bounds the memory that a wrong number costs.
 const HOLE_MAX: i64 = 1_000_000;
 
 impl TriggerTable {
@@ -79,7 +80,7 @@ impl TriggerTable {
         self.report(number, hsu_ns, true, true);
     }
 
-    /// Notes a reported time. `late`: the HSU flags it as late; `possible`: it was not heard before that time. Reports may
+    /// Notes a reported time. `late`: the HSU flags it as late; `possible`: it did not arrive before that time. Reports may
     /// be repeated, and missing ones may come later. Numbers out of all bounds are ignored.
     pub fn report(&mut self, number: i64, hsu_ns: u64, late: bool, possible: bool) {
         if !(-WARM_UP_MAX..TRIGGERS_MAX).contains(&number) {
@@ -102,7 +103,7 @@ impl TriggerTable {
             return self.fill(number, hsu_ns, possible);
         }
         let known = (number < self.end()).then(|| self.rows[(number - self.first) as usize]);
-        if known.is_some_and(|row| row.heard) {
+        if known.is_some_and(|row| row.has_report) {
             return;
         }
         if !possible || !self.is_in_rhythm(&anchor, number, hsu_ns, late) {
@@ -110,7 +111,7 @@ impl TriggerTable {
             let anchor = Anchor { contradicted: true, late: anchor.late || late, ..anchor };
             self.anchor = Some(anchor);
             self.grow_to(number, |steps| anchor.expected_ns(steps));
-            self.rows[(number - self.first) as usize].heard = true;
+            self.rows[(number - self.first) as usize].has_report = true;
             return;
         }
         let span = hsu_ns - anchor.hsu_ns;
@@ -128,7 +129,7 @@ impl TriggerTable {
         self.anchor = Some(Anchor { pause_ns, ..Anchor::at(number, hsu_ns, step_ns) });
     }
 
-    /// Rows up to a trigger; `hsu_ns` calculates the time of one so many triggers behind the last sound report.
+    /// Rows up to a trigger; `hsu_ns` calculates the time of one by its distance from the last sound report, in triggers.
     fn grow_to(&mut self, number: i64, hsu_ns: impl Fn(i64) -> u64) {
         let anchor = self.anchor.map_or(self.first, |anchor| anchor.number);
         while self.end() <= number {
@@ -200,12 +201,12 @@ impl TriggerTable {
         let least = around(place.checked_sub(1)).unwrap_or(0);
         let most = around(Some(place + 1)).unwrap_or(u64::MAX);
         let row = self.rows[place];
-        if !row.heard && possible && after_last && before_next && (least..=most).contains(&hsu_ns) {
+        if !row.has_report && possible && after_last && before_next && (least..=most).contains(&hsu_ns) {
             self.rows[place] = Row::reported(hsu_ns, true);
         }
     }
 
-    /// A report of before the first one that was heard.
+    /// A report of a trigger before the first one that was reported.
     fn insert_before(&mut self, number: i64, hsu_ns: u64, possible: bool) {
         let Some(first) = self.rows.front().map(|row| row.hsu_ns).filter(|first| hsu_ns < *first) else {
             return;
@@ -232,8 +233,8 @@ impl TriggerTable {
     }
 
     /// Whether the HSU reported a trigger, in rhythm or not.
-    pub fn is_heard(&self, number: i64) -> bool {
-        self.row(number).is_some_and(|row| row.heard)
+    pub fn has_report(&self, number: i64) -> bool {
+        self.row(number).is_some_and(|row| row.has_report)
     }
 
     /// Whether cameras agree on the time of a trigger that was not reported.
@@ -259,7 +260,8 @@ impl TriggerTable {
 
     /// Between two reports triggers need not lie evenly: one may have been late. No two are closer than 7/8 of a period.
     fn infer_between(&mut self, number: i64, hsu_ns: u64) {
-        let Some(place) = usize::try_from(number - self.first).ok().filter(|place| !self.rows[*place].heard)
+        let Some(place) =
+            usize::try_from(number - self.first).ok().filter(|place| !self.rows[*place].has_report)
         else {
             return;
         };
@@ -341,7 +343,7 @@ impl Anchor {
         Self { number, hsu_ns, step_ns, pause_ns: None, contradicted: false, late: false }
     }
 
-    /// When a trigger is due so many triggers later, ns.
+    /// When a trigger `steps` triggers later is due, ns.
     fn expected_ns(&self, steps: i64) -> u64 {
         self.hsu_ns.saturating_add((self.step_ns * steps as f64) as u64)
     }
@@ -392,7 +394,7 @@ impl Schedule<'_> {
 
     /// Whether a trigger's report is missing between others, and no two cameras agree on its time.
     pub fn is_bridged(&self, number: i64) -> bool {
-        self.table.row(number).is_some_and(|row| !row.heard && !row.agreed)
+        self.table.row(number).is_some_and(|row| !row.has_report && !row.agreed)
     }
 
     /// Whether the HSU itself gave a trigger's time.
@@ -482,7 +484,7 @@ mod tests {
         }
         assert_eq!(table.missing(), 4);
         table.insert(1, 2_590);
-        assert!(table.is_heard(1) && table.time_ns(1) == Some(2_590));
+        assert!(table.has_report(1) && table.time_ns(1) == Some(2_590));
     }
 
     #[test]

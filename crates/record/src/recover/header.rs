@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which header to believe, and one made anew where none is readable.
+//! The header that is used, and one that is rebuilt where none is readable.
 //!
 //! A segment's header has a checksum of its own (`crc32`), those of older recordings only the data section's, which only a
-//! closed segment has. Frames do not depend on it: their envelopes say which camera they are of.
+//! closed segment has. Frames do not depend on it: their envelopes name the camera.
 
 use super::salvage::{SegmentScan, SmallRecord};
 use crate::base::ids::{CameraId, NodeId, SessionName};
@@ -33,7 +33,7 @@ fn cameras_of(scans: &[SegmentScan]) -> Vec<&(String, u32, u32)> {
     scans.iter().flat_map(|scan| &scan.cameras).filter(|camera| known.insert(*camera)).collect()
 }
 
-/// A header without proof, corrected by what the frames' envelopes prove (names and sizes), and by what only an HSU says.
+/// A header without proof, corrected by what the frames' envelopes prove (names and sizes), and by records that only an HSU makes.
 fn corrected(mut header: RecordingHeader, scans: &[SegmentScan]) -> RecordingHeader {
     let seen = cameras_of(scans);
     let mut unknown: Vec<_> =

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One recording's segments together: which header to believe, one outcome for each camera and trigger, and how
+//! One recording's segments together: the header that is used, one outcome for each camera and trigger, and how
 //! the session ended.
 
 use super::salvage::{Labelled, SegmentScan, SmallRecord, scan};
@@ -25,13 +25,13 @@ use std::path::PathBuf;
 pub struct Salvage {
     /// Its directory, or the single segment.
     pub path: PathBuf,
-    /// What it says about itself.
+    /// The header that is used, possibly rebuilt.
     pub header: RecordingHeader,
     /// Whether the header was not readable and had to be made anew.
     pub rebuilt: bool,
     /// Whether a checksum proves the header.
     pub proven: bool,
-    /// What its records have to say about their session.
+    /// The mark that its records must have.
     pub belonging: Belonging,
     /// Numbers of the small records that are there.
     numbers: TriggerSet,
@@ -48,7 +48,7 @@ pub struct Salvage {
     pub clock_samples: Vec<ClockSample>,
     /// In the order of the files.
     pub events: Vec<NodeEvent>,
-    /// The stored verdict, if it may be believed.
+    /// The stored verdict, if a checksum proves it or it agrees with the records.
     pub verdict: Option<Verdict>,
     /// How the disk kept up with the original.
     pub statistics: Option<WriteStatistics>,
@@ -150,7 +150,7 @@ impl Salvage {
     }
 
     /// A crash leaves the last segments open. One that a closed one follows was cut later, unless the disk had
-    /// refused it: then an event says so.
+    /// refused it: then an event names it.
     fn note_cut_segments(&mut self, numbers: &[u32], closed: &[bool]) {
         let finished = if self.verdict.is_some() { closed.len() } else { 0 };
         let last_closed = closed.iter().rposition(|closed| *closed).unwrap_or(0);
@@ -199,7 +199,7 @@ impl Salvage {
         }
         let Some((&last, _)) = there.last_key_value().filter(|(last, _)| **last >= end) else { return };
         let reason = format!(
-            "records of triggers {end} to {last} are left out: so many are not in a recording of {} bytes",
+            "records of triggers {end} to {last} are left out: a recording of {} bytes cannot have that many triggers",
             self.bytes()
         );
         self.note(0, reason);
@@ -367,8 +367,8 @@ impl Salvage {
     }
 }
 
-/// What the records have to say about their session. An id that no checksum proves is held against the marks of the frames:
-/// where most contradict it, it is the id that is damaged, and the records stay without one.
+/// The mark that the records must have. An id that no checksum proves is compared with the marks of the frames: where most
+/// contradict it, the id is damaged, and the recording stays without one.
 fn belonging(
     mut header: RecordingHeader,
     proven: bool,

@@ -16,10 +16,10 @@ use std::iter::Peekable;
 use std::path::Path;
 use std::slice::Iter;
 
-/// Free disk that stays: whoever recovers on a disk that is almost full needs the rest.
+/// Free space that is left on the disk, bytes: small, because recovery is often run on a disk that is almost full.
 const RESERVE_BYTES: u64 = 64 << 20;
 
-/// Writes the recording to `dir`, which must not exist. `advance` is told the bytes of the source that are done.
+/// Writes the recording to `dir`, which must not exist. `advance` is called with the bytes of the source that are done.
 pub fn write(
     source: &Salvage,
     dir: &Path,

@@ -2,8 +2,8 @@
 //! What is usable in one segment: every frame checked, every small record under its chunk's checksum, and on
 //! behind damage.
 //!
-//! Nothing is believed that is not under a checksum. So a frame's camera and trigger are those of its envelope, and
-//! small records are known by their fields: what the container says around them may be what is damaged.
+//! Nothing is used that is not under a checksum. So a frame's camera and trigger are those of its envelope, and
+//! small records are known by their fields: the container around them may be damaged.
 
 use super::Damage;
 use crate::belonging::{Label, SessionMark};
@@ -28,11 +28,11 @@ use std::ops::Range;
 const FOUND_BYTES: usize = 64;
 /// Why an index is not followed any further.
 const INDEXED_OVER_AND_OVER: &str =
-    "its indexes name the same bytes over and over: they are not followed any further";
+    "its indexes name the same bytes again and again: they are not followed any further";
 /// Damaged places beyond this many are counted as the last one.
 const MAX_DAMAGE: usize = 1000;
 
-/// A record with what it says of its session and its number.
+/// A record with the mark of its session and its number.
 pub struct Labelled<T> {
     pub label: Label,
     pub record: T,
@@ -83,7 +83,7 @@ pub struct SegmentScan {
     pub records_lost: u64,
 }
 
-/// The small records, told apart by their fields, of which no two kinds have the same.
+/// A small record; the kinds are distinguished by their fields, which no two have in common.
 #[derive(Deserialize)]
 #[serde(untagged)]
 pub enum SmallRecord {
@@ -103,7 +103,7 @@ impl SegmentScan {
     }
 }
 
-/// Scans a segment. `advance` is told the bytes done.
+/// Scans a segment. `advance` is called with the bytes done.
 pub fn scan(number: u32, file: &SegmentFile, advance: &dyn Fn(u64)) -> SegmentScan {
     let mut scanner = Scanner {
         number,
@@ -127,7 +127,7 @@ pub fn scan(number: u32, file: &SegmentFile, advance: &dyn Fn(u64)) -> SegmentSc
     scanner.found
 }
 
-/// Why the walk does not go on as the records say.
+/// Where and why the walk along the records ended.
 struct Break {
     at: usize,
     /// What is wrong there; `None` where the file may just be cut.
@@ -161,7 +161,7 @@ impl<'a> Scanner<'a> {
             self.report(stop.at);
             let next = find(self.file, stop.at + 1, &mut self.budget);
             if self.budget == 0 {
-                let reason = "its records overlap, over and over: nothing from here on is looked for";
+                let reason = "its records overlap again and again: nothing is searched from here on";
                 self.damage(stop.at..self.file.len(), reason.to_owned());
                 break;
             }
@@ -211,7 +211,7 @@ impl<'a> Scanner<'a> {
         self.reported = self.reported.max(position);
     }
 
-    /// Takes what the records say, up to the first that is not as it should be.
+    /// Takes the records up to the first that is damaged.
     fn walk(&mut self, walker: &mut Walker<'a>) -> Option<Break> {
         for event in walker.by_ref() {
             match event {

@@ -10,7 +10,7 @@ use std::path::Path;
 /// Records before the first chunk that are looked through for its compression.
 const MAX_BEFORE_CHUNK: usize = 1000;
 
-/// Opens a segment for reading; says why it is of no use: it cannot be opened, or another program compressed it.
+/// Opens a segment for reading; an error where it cannot be opened, or another program compressed it.
 pub fn open_segment(path: &Path) -> Result<SegmentFile, String> {
     let file = SegmentFile::open(path).map_err(|error| format!("cannot be opened: {error}"))?;
     match compression(&file) {
@@ -19,7 +19,7 @@ pub fn open_segment(path: &Path) -> Result<SegmentFile, String> {
     }
 }
 
-/// Whether a chunk says that it is compressed as MCAP knows it; any other name is damage.
+/// Whether a chunk names a compression that MCAP defines; any other name is damage.
 pub(super) fn is_compression(name: &str) -> bool {
     ["zstd", "lz4"].contains(&name)
 }

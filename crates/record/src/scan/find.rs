@@ -12,11 +12,11 @@ use std::ops::Range;
 
 /// A chunk's fields before its records: two times, size, checksum, empty compression, size.
 const CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4 + 8;
-/// Looked through at once, bytes.
+/// Bytes that are searched at once.
 const PIECE: usize = 64 << 10;
 
-/// What the bytes of a file may be looked at in all: so many times its length, and a floor for short ones. A file that is not
-/// made to cost time needs four: chunk, pixels, and both once more where something is damaged.
+/// Bytes that may be examined in a pass over a file: a multiple of its length, and a floor for short ones. A file that is not
+/// crafted to cost time needs four times its length: chunk, pixels, and both once more where something is damaged.
 pub fn budget(length: usize) -> usize {
     const LOOKS: usize = 8;
     const FLOOR: usize = 16 << 20;
@@ -132,7 +132,7 @@ fn frame(pieces: &mut Pieces<'_>, at: usize, budget: &mut usize) -> Option<Range
     if !begins_like_envelope(few) {
         return None;
     }
-    // Nothing says how much of it can be read: the piece ends in front of what cannot.
+    // The piece ends in front of the first bytes that cannot be read.
     let end = file.len().min(at + FRONT);
     let front = match pieces.get(at..end) {
         Ok(_) => pieces.get(at..end).ok()?,

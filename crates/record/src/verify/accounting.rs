@@ -9,7 +9,7 @@ use crate::reader::{Outcome, RecordingReader};
 use crate::simultaneous::TriggerRow;
 use crate::verdict::{Status, Verdict};
 
-/// The verdict as the records have it. What records cannot show (the HSU's count, why it was aborted) comes
+/// The verdict as the records give it. What records cannot show (the HSU's count, why it was aborted) comes
 /// from the stored one.
 pub fn recount(recording: &RecordingReader) -> Verdict {
     let stored = recording.verdict.as_ref();
@@ -45,16 +45,15 @@ pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) 
             notes.add(Severity::Corrupt, None, None, None, message);
         }
         Some(stored) if stored != verdict => {
-            let message = format!(
-                "the stored verdict is not what the records say; stored: {stored}; counted: {verdict}"
-            );
+            let message =
+                format!("the stored verdict differs from the records; stored: {stored}; counted: {verdict}");
             notes.add(Severity::Corrupt, None, None, None, message);
         }
         Some(_) => {}
     }
     if !recording.belonging.is_witnessed() {
-        let message = "its records do not say which session they are of, as those of earlier versions: that none of \
-                       another session is among them rests on the headers alone";
+        let message = "its records have no mark of their session, as in earlier versions: only the headers show that none of \
+                       another session is among them";
         notes.add(Severity::Note, None, None, None, message);
     }
     for range in recording.numbers.absent(recording.numbered().min(MAX_TRIGGERS)) {

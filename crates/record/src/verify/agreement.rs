@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The nodes of one session must tell the same story: one session, one HSU, one trigger table, and no camera twice.
+//! The recordings of the nodes of a session must agree: one session, one HSU, one trigger table, and no camera twice.
 
 use super::table::Table;
 use super::{Finding, Notes, Severity, accounting};
@@ -23,7 +23,7 @@ pub struct Comparison {
     pub table_rows: u64,
     /// Of those, the ones whose rows differ.
     pub rows_that_differ: u64,
-    /// Whether nothing differs that has to agree; if not, findings say what.
+    /// Whether nothing differs that has to agree; otherwise findings name it.
     pub agree: bool,
 }
 
@@ -64,8 +64,12 @@ fn pair((first, counted_first): Counted<'_>, (other, counted): Counted<'_>, note
     differs("the session's id", b.session_id.clone(), a.session_id.clone());
     differs("the session's name", b.session.to_string(), a.session.to_string());
     differs("the trigger rate", b.trigger_rate_hz.to_string(), a.trigger_rate_hz.to_string());
-    let asked = |n: Option<u64>| n.map_or("until stop".to_owned(), |n| n.to_string());
-    differs("the number of triggers asked for", asked(b.expected_triggers), asked(a.expected_triggers));
+    let requested = |n: Option<u64>| n.map_or("until stop".to_owned(), |n| n.to_string());
+    differs(
+        "the number of triggers requested",
+        requested(b.expected_triggers),
+        requested(a.expected_triggers),
+    );
     if let (Some(found), Some(expected)) = (&b.hsu, &a.hsu) {
         differs("the HSU", found.uid.clone(), expected.uid.clone());
     }
@@ -99,15 +103,15 @@ fn pair((first, counted_first): Counted<'_>, (other, counted): Counted<'_>, note
     }
 }
 
-/// A node that was broken off and never learned the HSU's count ends at the last trigger that it knew of, and says so; the
-/// other one knows of more. Then what is missing is known, and why: loss, not a contradiction.
+/// A node that was aborted and never received the HSU's count ends at the last trigger that it knew of, and its verdict states
+/// that; the other one has more. Then it is known what is missing, and why: loss, not a contradiction.
 fn ended_unknowing(first: Counted<'_>, other: Counted<'_>) -> Option<Notes> {
     let ((short, counted), (longer, counted_longer)) =
         if first.1.triggers < other.1.triggers { (first, other) } else { (other, first) };
     let reason = counted.aborted.as_ref().filter(|_| counted.triggers_emitted.is_none())?;
     let last = counted_longer.triggers.checked_sub(1).filter(|last| *last >= counted.triggers)?;
     let message = format!(
-        "no outcomes: it was broken off and has not the HSU's count ({reason}); node {} has {} triggers",
+        "no outcomes: it was aborted and does not have the HSU's count ({reason}); node {} has {} triggers",
         longer.header.node, counted_longer.triggers
     );
     let mut notes = Notes::new(short.header.node.as_str());

@@ -35,7 +35,7 @@ impl Rows {
     }
 }
 
-/// Parts of which no two sources tell the trigger, with what the first of a row says.
+/// Parts whose triggers no two sources confirm, with the message of the first of a row.
 #[derive(Default)]
 pub struct Wrong(pub Vec<((u64, u64), String)>);
 
@@ -70,7 +70,7 @@ impl Late {
         self.open = true;
     }
 
-    /// Those that are late for so long, ns, and so many.
+    /// Rows of at least `count` frames that are late for at least `ns`.
     pub fn long(&self, ns: i128, count: usize) -> Vec<(u64, u64)> {
         let long = |(first, last, frames): &&(Frame, Frame, usize)| {
             *frames >= count && last.hsu_ns - first.hsu_ns >= ns

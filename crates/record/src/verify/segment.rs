@@ -15,7 +15,7 @@ use crc32fast::Hasher;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Checks all segments; returns what the frames say of their instants, by camera of the header.
+/// Checks all segments; returns what the frames show of their instants, by camera of the header.
 pub fn check(recording: &RecordingReader, notes: &mut Notes, advance: &(dyn Fn(u64) + Sync)) -> Vec<Times> {
     let node = recording.header.node.as_str();
     let checked: Vec<(Notes, Vec<Times>)> = recording
@@ -111,7 +111,7 @@ fn check_segment(
         // Older versions have no triggers in it.
         index.triggers = index.triggers.filter(|_| stated.as_ref().is_some_and(|x| x.triggers.is_some()));
         if stated != Some(index) {
-            notes.add(Severity::Corrupt, number, None, None, "its index is not what its records say");
+            notes.add(Severity::Corrupt, number, None, None, "its index differs from its records");
         }
     }
     note_end(recording, segment, walker.end(), data_end, notes);
@@ -135,7 +135,7 @@ struct Chunk {
     records: Range<usize>,
     stated: u32,
     sum: Hasher,
-    /// Nothing can be said of a chunk that is cut, or partly unreadable.
+    /// Whether the checksum can be computed: not that of a chunk that is cut, or partly unreadable.
     known: bool,
 }
 
@@ -150,7 +150,7 @@ impl Sums<'_> {
         self.pass(data.start, notes);
         let chunk_end = self.chunk.as_ref().map_or(data.end, |chunk| chunk.records.end);
         if self.passed != data.start || data.end > chunk_end {
-            // Behind what cannot be read nothing says that records lie in their chunks.
+            // Behind bytes that cannot be read it is not known whether records lie in their chunks.
             return;
         }
         let mut sum = Hasher::new();
@@ -254,7 +254,7 @@ fn note_end(
             notes.add(Severity::Corrupt, number, None, None, "closed without an end of its data section");
         }
         End::Cut { at } => {
-            // A segment that the disk refused stays open, and the accounting went on in a later one, which says so. Any
+            // A segment that the disk refused stays open, and the accounting went on in a later one, which names it. Any
             // other one was cut, or has a length field that points beyond its end.
             let excused = recording.events.iter().any(|event| event.gives_up(segment.number));
             let is_last = recording.segments.last().is_some_and(|last| last.number == segment.number);

@@ -15,18 +15,21 @@ use std::collections::BTreeMap;
 
 /// Rates that a header may state, Hz: what is beyond is a damaged or made-up number.
 const RATES_HZ: std::ops::RangeInclusive<f64> = 0.01..=100_000.0;
-/// Table and header differ in rate by one in so many at most: a projector's 59.94 Hz is called 60.
+/// Reciprocal of the largest relative difference between the rates of table and header: 59.94 Hz may be called 60.
 const RATE: i128 = 50;
-/// Steps that tell a rate.
+/// Steps of single triggers from which their median is used as the period.
 const STEPS: usize = 8;
-/// Reports of which the quickest comes at once.
+/// Reports among which one must have arrived without delay.
 const REPORTS: usize = 64;
-/// Triggers of a warm-up have no lower number. It bounds what a wrong one can cost.
+/// Lowest number of a warm-up trigger, negated: it bounds what a wrong number can cost.
 const WARM_UP_MAX: i64 = 1 << 40;
-/// Triggers further apart are not interpolated between.
+/// Largest number of missing triggers between two that times are interpolated for.
 const HOLE_MAX: i64 = 1 << 20;
 
 /// When triggers were fired, HSU clock.
+///
+/// Verification makes one for each recording and drops it at the end. It promises times as they were reported, or between two
+/// that were; nothing is extrapolated.
 pub struct Table {
     /// By number; those of the warm-up are negative.
     rows: BTreeMap<i64, Row>,
@@ -88,7 +91,7 @@ impl Table {
             notes.add(severity(recording), None, None, None, message);
         }
         let period_ns = usual.filter(|_| steps.len() >= STEPS).or(period_ns).or(usual)?;
-        // A copy says when it was made.
+        // The event of a copy has the time at which it was made.
         let events =
             recording.events.iter().filter(|event| event.kind != RECOVERED).map(|event| event.host_time_ns);
         let samples = recording.clock_samples.iter().map(|sample| sample.host_receive_ns);
@@ -132,8 +135,8 @@ impl Table {
         }
     }
 
-    /// Holds the table against its own rhythm and flags, and against the arrival of its reports. A single segment is not the
-    /// `whole`: it says nothing of the beginning.
+    /// Checks the table against its own rhythm and flags, and against the arrival of its reports. A single segment is not the
+    /// `whole`: it does not have the beginning.
     pub fn check(&self, recording: &RecordingReader, whole: bool, notes: &mut Notes) {
         self.check_steps(notes);
         self.check_flags(recording, notes);
@@ -144,7 +147,7 @@ impl Table {
         }
     }
 
-    /// Triggers are at least 7/8 of a period apart, and one that is late says so (`hsu-protocol.md`, invariant 5).
+    /// Triggers are at least 7/8 of a period apart, and one that is late is flagged (`hsu-protocol.md`, invariant 5).
     fn check_steps(&self, notes: &mut Notes) {
         let period = self.period_ns;
         let slack = period / RATE + 1_000;
@@ -188,28 +191,27 @@ impl Table {
             let at = Some((index.0, index.0));
             if has(TriggerFlags::WARM_UP) {
                 let message =
-                    "the HSU calls it a trigger of the warm-up (flags), but it has a place in the session";
+                    "the HSU flags it as a trigger of the warm-up, but it has a place in the session";
                 notes.add(Severity::Corrupt, None, None, at, message);
             }
             if !has(TriggerFlags::LAST) {
                 continue;
             }
-            let asked = recording.header.expected_triggers.filter(|_| !pressed);
+            let requested = recording.header.expected_triggers.filter(|_| !pressed);
             if Some(*index) != last {
-                let message = "the HSU calls it the last trigger (flags), but there are later ones";
+                let message = "the HSU flags it as the last trigger, but there are later ones";
                 notes.add(Severity::Corrupt, None, None, at, message);
-            } else if let Some(asked) = asked.filter(|asked| *asked != index.0 + 1) {
-                let message = format!(
-                    "the HSU calls it the last trigger (flags); the header asks for {asked} triggers"
-                );
+            } else if let Some(requested) = requested.filter(|requested| *requested != index.0 + 1) {
+                let message =
+                    format!("the HSU flags it as the last trigger; the header requests {requested} triggers");
                 notes.add(Severity::Corrupt, None, None, at, message);
             }
         }
     }
 
-    /// A report is not heard before its trigger is fired; and of many, one comes at once.
+    /// A report does not arrive before its trigger is fired; and of many, one arrives without delay.
     fn check_reports(&self, recording: &RecordingReader, notes: &mut Notes) {
-        let (mut early, mut quickest, mut heard) = (Rows::default(), i128::MAX, 0);
+        let (mut early, mut quickest, mut count) = (Rows::default(), i128::MAX, 0);
         for (number, row) in &self.rows {
             let Some(recorded) = row.recorded.filter(|_| !self.readings.epochs.is_empty()) else { continue };
             let Some(fired) = self.host_time(row.hsu_ns, *number) else { continue };
@@ -218,7 +220,7 @@ impl Table {
                 early.add(*number, way);
             }
             quickest = quickest.min(way - fired.open_ns);
-            heard += 1;
+            count += 1;
         }
         early.note(None, notes, |way| {
             let before = -way;
@@ -226,9 +228,9 @@ impl Table {
                 "reported {before:.3} ms before it was fired, by the recorded readings of the HSU's clock"
             )
         });
-        if heard >= REPORTS && quickest > self.period_ns * 3 / 4 {
+        if count >= REPORTS && quickest > self.period_ns * 3 / 4 {
             let message = format!(
-                "the quickest of {heard} reports came {:.3} ms after its trigger: the trigger times, or the readings of \
+                "the quickest of {count} reports came {:.3} ms after its trigger: the trigger times, or the readings of \
                  the HSU's clock, are early",
                 ms(quickest)
             );
@@ -238,7 +240,7 @@ impl Table {
         }
     }
 
-    /// The HSU's clock runs through a session.
+    /// The HSU's clock is not set during a session.
     fn check_clock(&self, notes: &mut Notes) {
         for (at, by) in self.readings.settings() {
             let message = format!(
@@ -250,7 +252,7 @@ impl Table {
         note_readings(&self.readings, None, "the HSU's clock", notes);
     }
 
-    /// What both nodes heard of the same HSU: a trigger has one time, and one set of flags. Returns how many triggers both
+    /// Compares what two nodes recorded of the same HSU: a trigger has one time, and one set of flags. Returns how many triggers both
     /// tables have, and in how many the rows differ.
     pub fn compare(first: &RecordingReader, other: &RecordingReader, notes: &mut Notes) -> (u64, u64) {
         let both =
@@ -265,11 +267,11 @@ impl Table {
         let node = &first.header.node;
         if let (Some((index, found, expected)), Some((last, ..))) = (differ.first(), differ.last()) {
             let count = differ.len();
-            let told = |row: &TriggerRecord| format!("{} ns with flags {:#x}", row.hsu_time_ns, row.flags);
+            let shown = |row: &TriggerRecord| format!("{} ns with flags {:#x}", row.hsu_time_ns, row.flags);
             let message = format!(
                 "{count} triggers have another HSU time than on node {node}; trigger {index}: {}, there {}",
-                told(found),
-                told(expected)
+                shown(found),
+                shown(expected)
             );
             notes.add(Severity::Corrupt, None, None, Some((*index, *last)), message);
         }
@@ -316,7 +318,7 @@ fn check_created(recording: &RecordingReader, notes: &mut Notes) {
     }
 }
 
-/// Readings of a clock that cannot be, and those that the others contradict.
+/// Findings for readings of a clock that are impossible, and for those that the others contradict.
 pub fn note_readings(
     readings: &Readings,
     camera: Option<&crate::base::ids::CameraId>,
@@ -326,7 +328,7 @@ pub fn note_readings(
     if let Some(at) = readings.impossible.first() {
         let count = readings.impossible.len();
         let message = format!(
-            "{count} readings of {of} were answered before they were asked for, the first at {at} ns"
+            "{count} readings of {of} were answered before they were requested, the first at {at} ns"
         );
         notes.add(Severity::Corrupt, None, camera, None, message);
     }
@@ -339,11 +341,11 @@ pub fn note_readings(
     }
 }
 
-/// The header's period, ns; `None` where it states none that can be.
+/// The header's period, ns; `None` where it states none that is possible.
 fn stated_period(recording: &RecordingReader, notes: &mut Notes) -> Option<i128> {
     let rate = recording.header.trigger_rate_hz;
     if rate == 0.0 {
-        // A header that `recover` made anew.
+        // Such a header was rebuilt by `recover`.
         let message = "its header states no trigger rate; the trigger table's own is used";
         notes.add(Severity::Unconfirmed, None, None, None, message);
         return None;
@@ -378,7 +380,7 @@ pub fn ms(ns: i128) -> f64 {
     ns as f64 / 1e6
 }
 
-/// A trigger of the session as a number of the train.
+/// The number of a trigger of the session, as [`Table`] counts them.
 pub fn number(trigger: TriggerIndex) -> Option<i64> {
     i64::try_from(trigger.0).ok()
 }

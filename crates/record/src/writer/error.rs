@@ -42,7 +42,7 @@ pub enum RecordError {
     /// An earlier error ended the recording of frames; this one is accounted for as `dropped_disk`.
     #[error("frames are no longer recorded since an earlier error: {reason}")]
     Stopped { reason: String },
-    /// The caller's mistake: message and description differ. Nothing was recorded.
+    /// Message and description differ: a mistake of the caller. Nothing was recorded.
     #[error("frame of camera {camera}: {reason}")]
     Frame {
         /// Its place in the header.
@@ -50,7 +50,7 @@ pub enum RecordError {
         /// What was expected and found.
         reason: String,
     },
-    /// The accounting could not be closed on disk; this is what it says.
+    /// The accounting could not be completed on disk; this is the verdict.
     #[error("{path}: the verdict could not be written ({source}); it is: {verdict}")]
     Unfinished {
         path: PathBuf,

@@ -38,8 +38,8 @@ impl Recording {
         }
     }
 
-    /// What the segment lost waits for the rescue, and a word that it was the disk: even where no frame is lost,
-    /// nobody shall take the open segment for a cut one.
+    /// What the segment lost waits for the rescue, with an event that the disk refused it: even where no frame is lost,
+    /// the open segment must not be taken for a cut one.
     fn give_up(&mut self, entry: OpenSegment) {
         let event = NodeEvent::segment_given_up(entry.segment.number, self.time_ns);
         self.lose(entry.abandon());

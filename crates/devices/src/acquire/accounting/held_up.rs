@@ -10,7 +10,7 @@ impl Accounting {
     /// contradicts more than two must agree, and where frames of others may still come (`early`), all must have been heard.
     pub(super) fn infer_trigger(&mut self, camera: usize, seen: &Sighting, early: bool) {
         let Some((number, hsu_ns)) = self.lanes[camera].matcher.claim(seen) else { return };
-        if self.table.is_heard(number) || self.table.is_agreed(number) {
+        if self.table.has_report(number) || self.table.is_agreed(number) {
             return;
         }
         let period_ns = i128::from(self.options.period_ns);
