@@ -172,7 +172,7 @@ fn a_recording_without_triggers_is_the_same_to_recover_and_to_verify() {
     assert_contains(&verified.1, &["interrupted before the first trigger"]);
 }
 
-/// A header that nobody can read is made anew from the frames: the result is what `verify` accepts, and says what it rests on.
+/// A header that nobody can read is rebuilt from the frames: the result is what `verify` accepts, and says what it rests on.
 #[test]
 fn a_header_made_anew_is_accepted_by_verify() {
     let dir = quick_dir();

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What became of the action commands of a camera, in numbers and as its event has it.
+//! Results of a camera's action commands, as numbers and as the text of its event.
 
 use super::layout::NodeEvent;
 use serde::Serialize;
 use std::fmt;
 
-/// Kind of the events whose message counts what became of a camera's action commands.
+/// Kind of the events whose message counts the results of a camera's action commands.
 pub const ACTION_COMMANDS: &str = "action_commands";
 
 /// Counts of one camera; those of the warm-up are among them.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the pattern of a camera's outcomes shows of their cause, and what to do about it.
+//! The cause that the pattern of a camera's outcomes shows, and what to do about it.
 //!
 //! A gap record names the cause of one trigger. A camera that takes every second trigger, or wakes up late, shows it in
 //! the order of its gaps alone.
@@ -10,7 +10,7 @@ use super::verdict::CameraVerdict;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Lines for people. They are words, not figures: another version may use others for the same, and so all are equal.
+/// Lines of advice. They are text, not figures: another version may word them in another way, and so all are equal.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Advice(pub Vec<String>);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A session on a node's disk, at a glance: what an operator chooses from, and the worker waits for.
+//! A session on a node's disk in short: the entry of the console's list, which the worker reads, too.
 //!
-//! Of a recording only the header of its first segment and the summary of its last are looked at.
+//! Of a recording only the header of its first segment and the summary of its last are read.
 
 use super::layout::{KEY_JSON, VERDICT_METADATA};
 use super::metadata::read_header;
@@ -38,10 +38,10 @@ pub struct CatalogueEntry {
     pub subject: Option<String>,
     /// Free text that was given when the session was started.
     pub note: Option<String>,
-    /// What people think of it, once they have said so.
+    /// Rating and note of the operator, where they were given.
     #[serde(default)]
     pub remark: Option<Remark>,
-    /// What it amounts to; `None` when it was not finished.
+    /// The stored verdict; `None` when the recording was not finished.
     pub verdict: Option<Verdict>,
     /// Why it counts as unfinished, or what is wrong with it.
     pub problem: Option<String>,
@@ -89,7 +89,7 @@ fn describe(path: PathBuf, made: SystemTime) -> CatalogueEntry {
 fn read(entry: &mut CatalogueEntry, files: &RecordingFiles) {
     let sizes = files.segments.iter().filter_map(|(_, path)| std::fs::metadata(path).ok());
     entry.bytes = sizes.map(|metadata| metadata.len()).sum();
-    // All segments have the same header: the first one that can be read tells.
+    // All segments have the same header: the first one that can be read is used.
     for (_, path) in &files.segments {
         let named = |reason: String| format!("{}: {reason}", path.display());
         match SegmentFile::open(path)

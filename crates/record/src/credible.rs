@@ -6,8 +6,8 @@ use super::reader::{RecordingReader, SegmentReader};
 use super::scan::Entries;
 use crate::base::ids::TriggerIndex;
 
-/// Triggers that are credible for as many bytes: each of them left a frame or a gap record, or its records in a segment of
-/// which the others tell. So what is read or written for a recording stays within its size.
+/// Triggers that are credible for as many bytes: each of them left a frame or a gap record, or its records in a segment
+/// of which the others have records. So what is read or written for a recording stays within its size.
 pub(super) fn most_triggers(bytes: u64) -> u64 {
     const FLOOR: u64 = 1 << 16;
     const BYTES_EACH: u64 = 64;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A recording described for people: outcomes per camera, events by kind, clocks, segments, and what is missing.
+//! Descriptions of a recording: outcomes per camera, events by kind, clocks, segments, and what is missing.
 //!
 //! Nothing is checked here that opening a recording does not check; that is [`super::verify`].
 
@@ -78,11 +78,11 @@ pub struct ClockDescription {
     /// The camera; `None` for the HSU.
     pub camera: Option<CameraId>,
     pub samples: u64,
-    /// Exchanges that the fit knows of.
+    /// Exchanges that the fit uses.
     pub used: u64,
     /// Exchanges that contradict the others and were left out.
     pub left_out: u64,
-    /// How often the device's clock was set anew.
+    /// How often the device's clock was set.
     pub resets: u64,
     /// Shortest time from request to answer, host clock, ns.
     pub round_trip_min_ns: u64,
@@ -105,7 +105,8 @@ pub struct SegmentDescription {
     pub bytes: u64,
     /// First trigger that belongs to it.
     pub first_trigger: u64,
-    /// First trigger of the next segment, as this one states it; not known in the last one and in one that is not closed.
+    /// First trigger of the next segment, as this one states it; not known in the last one and in one that is not
+    /// closed.
     pub end_trigger: Option<u64>,
     /// One more than the highest trigger of which it has a frame.
     pub frames_end: Option<u64>,
@@ -198,7 +199,7 @@ fn clock(device: Option<&CameraId>, samples: &[ClockSample]) -> Option<ClockDesc
         .collect();
     let last = exchanges.last()?;
     let mut fit = ClockFit::new();
-    // Of the exchanges before the clock was set anew the fit knows nothing any more.
+    // The fit has dropped the exchanges before the clock was set.
     let mut since = 0;
     for (i, exchange) in exchanges.iter().enumerate() {
         let resets = fit.resets();

@@ -131,8 +131,8 @@ fn write_all_vectored_at(file: &File, mut offset: u64, mut parts: &mut [IoSlice<
     Ok(())
 }
 
-/// Lets a write beyond the limit on file sizes fail with `EFBIG`, as any other write fails, instead of ending the process
-/// with `SIGXFSZ` in the middle of a session.
+/// Lets a write beyond the limit on file sizes fail with `EFBIG`, as any other write fails, instead of ending the
+/// process with `SIGXFSZ` in the middle of a session.
 pub fn survive_file_limit() {
     // SAFETY: ignoring a signal installs no handler: no code of ours runs in signal context.
     unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };

@@ -89,7 +89,8 @@ pub enum EnvelopeError {
 /// Writes the envelope to the end of `room`, so that the pixels that follow in the same buffer continue it,
 /// and returns its length: the message is that many last bytes of `room`, and the pixels.
 ///
-/// `room` of [`ENVELOPE_CAPACITY`] bytes always suffices. The recording that takes the message marks it with its session.
+/// `room` of [`ENVELOPE_CAPACITY`] bytes always suffices. The recording that takes the message marks it with its
+/// session.
 pub fn write_envelope(room: &mut [u8], camera: &CameraId, meta: &FrameMeta) -> Result<usize, EnvelopeError> {
     let envelope = encode(None, camera, meta)?;
     let envelope = written(&envelope);

@@ -15,8 +15,8 @@ pub(super) fn read_front(file: &SegmentFile, message: &Range<usize>) -> Result<V
     Ok(front)
 }
 
-/// Checks a frame's envelope against its own checksum and against the identity under which it is recorded; `front` is the
-/// beginning of a message of `length` bytes. Returns the place of the pixels in the message.
+/// Checks a frame's envelope against its own checksum and against the identity under which it is recorded; `front` is
+/// the beginning of a message of `length` bytes. Returns the place of the pixels in the message.
 pub(super) fn identify(
     front: &[u8],
     length: usize,

@@ -25,8 +25,8 @@ pub const STATISTICS_METADATA: &str = "fourdbody.write_statistics";
 
 /// Key of these metadata records: JSON of [`RecordingHeader`] without the rig; of the verdict; of the statistics.
 pub const KEY_JSON: &str = "json";
-/// Key of all these metadata records: CRC-32 of the other entries, in the order of their keys, each as key, zero, value,
-/// zero. It vouches for them while the segment is open and the data section's checksum is still to come.
+/// Key of all these metadata records: CRC-32 of the other entries, in the order of their keys, each as key, zero,
+/// value, zero. It vouches for them while the segment is open and the data section's checksum is still to come.
 pub const KEY_CRC: &str = "crc32";
 /// Key of the header metadata: the rig file, word for word.
 pub const KEY_RIG: &str = "rig";
@@ -87,12 +87,12 @@ pub fn segment_number(name: &str) -> Option<u32> {
     (digits.len() >= 3 && digits.bytes().all(|b| b.is_ascii_digit())).then(|| digits.parse().ok())?
 }
 
-/// Kind of the event whose message names a node of the rig that does not take part: the session is of a part of the rig, as
-/// requested.
+/// Kind of the event whose message names a node of the rig that does not take part: the session is of a part of the
+/// rig, as requested.
 pub const NOT_ASKED: &str = "node_not_asked";
 
-/// Kind of the events whose message is a camera's PTP status: at the beginning where PTP is on, at each change, and at the
-/// end.
+/// Kind of the events whose message is a camera's PTP status: at the beginning where PTP is on, at each change, and at
+/// the end.
 pub const PTP_STATUS: &str = "ptp_status";
 
 /// Whether PTP keeps the clock of a camera with this status.
@@ -153,7 +153,8 @@ pub struct RecordingHeader {
     /// Triggers requested; `None` runs until stop.
     pub expected_triggers: Option<u64>,
     pub trigger_rate_hz: f64,
-    /// Name of the clock behind every `host_time_ns`, for instance `CLOCK_REALTIME`: UTC, ns since 1970 without leap seconds.
+    /// Name of the clock behind every `host_time_ns`, for instance `CLOCK_REALTIME`: UTC, ns since 1970 without leap
+    /// seconds.
     pub host_clock: String,
     /// Host time when the recording was created, ns.
     pub created_ns: u64,
@@ -274,7 +275,7 @@ pub struct NodeEvent {
     pub camera: Option<CameraId>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trigger: Option<TriggerIndex>,
-    /// Text for people; for some kinds JSON, or a format of its own.
+    /// Text that a person reads; for some kinds JSON, or a format of its own.
     pub message: String,
 }
 
@@ -346,7 +347,8 @@ impl WarmUp {
     }
 }
 
-/// All outcomes of a segment, and its part of the trigger table, so that a closed one opens without walking its records.
+/// All outcomes of a segment, and its part of the trigger table, so that a closed one opens without walking its
+/// records.
 #[derive(Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SegmentIndex {
     /// Camera (its place in the header), trigger, offset of the message's payload in the file, its length.

@@ -10,7 +10,8 @@ use super::segment_file::SegmentFile;
 use crate::base::ids::printable;
 use std::ops::Range;
 
-/// CRC-32 of a metadata record's entries, in the order of their keys: key, zero, value, zero. Its own entry is left out.
+/// CRC-32 of a metadata record's entries, in the order of their keys: key, zero, value, zero. Its own entry is left
+/// out.
 pub(super) fn checksum<'a>(entries: impl IntoIterator<Item = (&'a str, &'a str)>) -> u32 {
     let mut crc = crc32fast::Hasher::new();
     for (key, value) in entries.into_iter().filter(|(key, _)| *key != KEY_CRC) {

@@ -48,8 +48,8 @@ struct Offer {
 
 /// The bytes of a segment that have not left for the disk.
 ///
-/// A segment makes it and shares it with the `mcap` writer, which writes into it. It promises that what it hands to the disk
-/// thread is a clean prefix of the file. It ends with [`Self::close`], or with [`Self::abandon`] after a failure.
+/// A segment makes it and shares it with the `mcap` writer, which writes into it. It promises that what it hands to the
+/// disk thread is a clean prefix of the file. It ends with [`Self::close`], or with [`Self::abandon`] after a failure.
 pub(super) struct Window {
     disk: Disk,
     staging: AlignedBuffer,

@@ -158,7 +158,8 @@ impl<'a> MessageReader<'a> {
         self.field().map(Some).ok_or(())
     }
 
-    /// If the next field is this one, of bytes: their length, of which nothing is read. Stays in front of any other field.
+    /// If the next field is this one, of bytes: their length, of which nothing is read. Stays in front of any other
+    /// field.
     pub fn enter_bytes(&mut self, number: u64) -> Option<u64> {
         let start = self.position;
         let tag = self.raw_varint();
@@ -218,8 +219,8 @@ impl Kind {
     }
 }
 
-/// Describes a message by name, number and type of its fields (`DescriptorProto`: name 1, field 2; `FieldDescriptorProto`:
-/// name 1, number 3, label 4, type 5, type name 6).
+/// Describes a message by name, number and type of its fields (`DescriptorProto`: name 1, field 2;
+/// `FieldDescriptorProto`: name 1, number 3, label 4, type 5, type name 6).
 pub fn describe(name: &str, fields: &[(&str, u32, Kind)]) -> MessageWriter {
     let message = MessageWriter::default().bytes(1, name.as_bytes());
     fields.iter().fold(message, |message, (name, number, kind)| {

@@ -109,8 +109,9 @@ pub(crate) enum Outcome {
 
 /// One node's recording, read from its files.
 ///
-/// [`super::SessionReader`] and [`super::open_each`] make it. Its small records were read when it was opened; frames are read
-/// and checked on each access. It never writes, and what is damaged is in [`Self::problems`] instead of hiding the rest.
+/// [`super::SessionReader`] and [`super::open_each`] make it. Its small records were read when it was opened; frames
+/// are read and checked on each access. It never writes, and what is damaged is in [`Self::problems`] instead of hiding
+/// the rest.
 pub struct RecordingReader {
     /// Its directory, or the single segment.
     pub path: PathBuf,
@@ -440,8 +441,8 @@ impl RecordingReader {
         }
     }
 
-    /// The frame of a camera (its place in the header) at a trigger, checked; `Ok(Err(cause))` for a gap. An error names the
-    /// camera and the trigger.
+    /// The frame of a camera (its place in the header) at a trigger, checked; `Ok(Err(cause))` for a gap. An error
+    /// names the camera and the trigger.
     pub fn frame(
         &self,
         camera: usize,
@@ -450,8 +451,8 @@ impl RecordingReader {
         self.outcome_at(camera, trigger, |file, place| self.read_frame(file, place, camera, trigger))
     }
 
-    /// The identity of a camera's frame (its place in the header) at a trigger, without a look at its pixels; `Ok(Err(cause))`
-    /// for a gap.
+    /// The identity of a camera's frame (its place in the header) at a trigger, without reading its pixels;
+    /// `Ok(Err(cause))` for a gap.
     pub fn frame_meta(
         &self,
         camera: usize,
@@ -545,8 +546,8 @@ impl RecordingReader {
         self.known_end().max(stated.min(MAX_TRIGGERS))
     }
 
-    /// Whether it was aborted, by its verdict, and never received the HSU's count: the session may have more triggers than it
-    /// has outcomes for.
+    /// Whether it was aborted, by its verdict, and never received the HSU's count: the session may have more triggers
+    /// than it has outcomes for.
     fn ended_unknowing(&self) -> bool {
         self.verdict
             .as_ref()

@@ -28,12 +28,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Kind of the event that marks a recovered recording.
 pub const RECOVERED: &str = "recovered";
 
-/// What its message says where places were damaged, and where records were lost.
+/// Text in its message where places were damaged.
 const DAMAGED: &str = "damaged places";
+/// Text in its message where small records were lost.
 const RECORDS_LOST: &str = "small records lost";
 
-/// Whether a recording is a copy of a damaged one: what its header says may be wrong, and records may be missing that explain
-/// something.
+/// Whether a recording is a copy of a damaged one: its header may be wrong, and records may be missing that explain
+/// irregularities.
 pub(super) fn is_of_damaged(recording: &RecordingReader) -> bool {
     let damaged = |message: &str| message.contains(DAMAGED) || message.contains(RECORDS_LOST);
     recording.events.iter().any(|event| event.kind == RECOVERED && damaged(&event.message))
@@ -201,14 +202,14 @@ pub fn recover(
     Ok(Recovery { source: path.to_owned(), out: out.to_owned(), recordings, unusable })
 }
 
-/// A header that had to be made anew, or that no checksum proves, learns from a better one of the same session.
+/// A header that was rebuilt, or that no checksum proves, is completed from a better one of the same session.
 fn adopt_headers(salvaged: &mut [Salvage]) {
     let proven = salvaged.iter().find(|one| one.proven).map(|one| one.header.clone());
     if let Some(proven) = &proven {
         salvaged.iter_mut().filter(|one| !one.proven).for_each(|one| header::adopt(&mut one.header, proven));
     } else if let Some(readable) = salvaged.iter().find(|one| !one.rebuilt).map(|one| one.header.clone()) {
-        let anew = salvaged.iter_mut().filter(|one| one.rebuilt);
-        anew.for_each(|one| header::adopt(&mut one.header, &readable));
+        let rebuilt = salvaged.iter_mut().filter(|one| one.rebuilt);
+        rebuilt.for_each(|one| header::adopt(&mut one.header, &readable));
     }
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What people think of a recording: a rating and a note, beside the recording and never in it.
+//! The operator's rating and note of a recording, beside the recording and never in it.
 //!
 //! It lies in the session's directory as `remark-NODE.json`, so that a recording stays as its verdict describes it.
 
@@ -17,7 +17,7 @@ use std::time::SystemTime;
 pub enum Rating {
     /// The take is to be used.
     Good,
-    /// Somebody has to look at the take before it is used.
+    /// The take has to be checked before it is used.
     Doubtful,
     /// The take is not to be used.
     Bad,
@@ -86,7 +86,7 @@ mod tests {
     use crate::base::ids::NodeId;
 
     #[test]
-    fn a_remark_comes_back_and_what_is_none_is_not_believed() {
+    fn a_remark_reads_back_and_other_files_are_refused() {
         let dir = tempfile::tempdir().expect("a directory");
         let node = NodeId::from("a");
         assert_eq!(Remark::load(dir.path(), &node), None);

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Walks the records of an MCAP file, as far as they are whole.
 //!
-//! Made for files that a crash has cut, for disks that fail, and for untrusted bytes: what is allocated by a length found in
-//! the file is bounded, no record is assumed to fit, pixels are not read. A record that cannot be
-//! read is passed over where its length is known.
-//! Record layouts: <https://mcap.dev/spec>.
+//! Made for files that a crash has cut, for disks that fail, and for untrusted bytes: what is allocated by a length
+//! found in the file is bounded, no record is assumed to fit, pixels are not read. A record that cannot be read is
+//! passed over where its length is known. Record layouts: <https://mcap.dev/spec>.
 
 mod compressed;
 mod find;
@@ -96,8 +95,8 @@ pub enum End {
 
 /// Walks through the records of a segment, in the order of the file.
 ///
-/// Reader, verification and recovery each make one for a pass over a file. It borrows the file, promises to end for any bytes
-/// whatever, and states in [`Self::end`] why it ended.
+/// Reader, verification and recovery each make one for a pass over a file. It borrows the file, promises to end for any
+/// bytes whatever, and states in [`Self::end`] why it ended.
 pub struct Walker<'a> {
     pieces: Pieces<'a>,
     /// Where the walk ends, at the latest.
@@ -108,8 +107,9 @@ pub struct Walker<'a> {
     end: Option<End>,
     /// Behind the bytes that the walk stopped at because they cannot be read.
     unreadable_to: Option<usize>,
-    /// Whether the walk goes on behind bytes that cannot be read, and the bytes that may still be looked at for where.
+    /// Whether the walk goes on behind bytes that cannot be read.
     goes_on: bool,
+    /// Bytes that may still be examined to find where to go on.
     budget: usize,
 }
 
@@ -151,7 +151,8 @@ impl<'a> Walker<'a> {
         self.end.clone().unwrap_or(End::Cut { at: self.position })
     }
 
-    /// If the walk ended because bytes cannot be read: moves to the next record behind them; `false` where there is none.
+    /// If the walk ended because bytes cannot be read: moves to the next record behind them; `false` where there is
+    /// none.
     fn go_on(&mut self) -> bool {
         let to = self.unreadable_to.take().filter(|_| self.goes_on);
         let found = to.and_then(|to| find(self.pieces.file(), to, &mut self.budget));
@@ -326,8 +327,8 @@ impl<'a> Walker<'a> {
         event
     }
 
-    /// It is passed over, but by its own length only where that agrees with the one inside: a wrong one would swallow the
-    /// chunk behind it.
+    /// It is passed over, but by its own length only where that agrees with the one inside: a wrong one would swallow
+    /// the chunk behind it.
     fn message_index(&mut self, start: usize, body: &Range<usize>) {
         const FIELDS: usize = 2 + 4;
         let stated = match self.pieces.get(body.start..body.end.min(body.start + FIELDS)) {

@@ -53,8 +53,8 @@ pub enum JsonChannel {
 
 /// A segment being written: one MCAP file of a recording.
 ///
-/// The recording makes one when it is created and at each split, and owns it. It promises that the
-/// file is a readable prefix at every instant. It ends with [`Self::finish`]; after a failed write its window is abandoned.
+/// The recording makes one when it is created and at each split, and owns it. It promises that the file is a readable
+/// prefix at every instant. It ends with [`Self::finish`]; after a failed write its window is abandoned.
 pub struct Segment {
     mcap: mcap::Writer<Handle>,
     window: Arc<Mutex<Window>>,
@@ -80,7 +80,8 @@ impl Segment {
         version: u32,
     ) -> io::Result<Self> {
         let window = Arc::new(Mutex::new(Window::new(store, STAGING_BYTES)?));
-        // `commit` ends chunks. docs/design/recording.md explains why seeking is allowed; the window adds the checksums.
+        // `commit` ends chunks. docs/design/recording.md explains why seeking is allowed; the window adds the
+        // checksums.
         let options = mcap::WriteOptions::new()
             .compression(None)
             .chunk_size(None)

@@ -2,8 +2,8 @@
 //! A segment as a file that may fail while it is read.
 //!
 //! Recordings are read with calls that return errors, never through a mapping: a bad sector, or a file that is cut
-//! meanwhile, would end the program with a signal. What cannot be read is remembered and not tried again, because a disk
-//! takes seconds for each attempt; everything else is used. `docs/design/recording.md`, "Reading", has the rules.
+//! meanwhile, would end the program with a signal. What cannot be read is remembered and not tried again, because a
+//! disk takes seconds for each attempt; everything else is used. `docs/design/recording.md`, "Reading", has the rules.
 
 use crate::base::regular;
 use crc32fast::Hasher;

@@ -102,8 +102,8 @@ fn entries(dir: &Path) -> Result<Vec<(String, PathBuf)>, String> {
     Ok(found)
 }
 
-/// Why the recording in `dir` is thought to be unfinished: its last segment is not closed, or states no verdict, or cannot
-/// be read. `None` for a finished one, and where there is no recording.
+/// Why the recording in `dir` is thought to be unfinished: its last segment is not closed, or states no verdict, or
+/// cannot be read. `None` for a finished one, and where there is no recording.
 pub(super) fn unfinished(dir: &Path) -> Option<String> {
     let (_, last) = segments(dir).ok()?.pop()?;
     let name = last.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -133,7 +133,7 @@ pub struct Unreadable {
 }
 
 impl Unreadable {
-    /// Its name for people: its node, or its path where the node is not known.
+    /// The name that messages use: its node, or its path where the node is not known.
     pub fn name(&self) -> String {
         if self.node.is_empty() { self.path.display().to_string() } else { format!("node {}", self.node) }
     }
@@ -145,8 +145,8 @@ impl fmt::Display for Unreadable {
     }
 }
 
-/// The recordings at `path` (a session, a recording or a segment) that can be read, with all small records; and those that
-/// cannot, which do not hide the others. An error where there is none that can.
+/// The recordings at `path` (a session, a recording or a segment) that can be read, with all small records; and those
+/// that cannot, which do not hide the others. An error where there is none that can.
 pub fn open_each(path: &Path) -> Result<(Vec<RecordingReader>, Vec<Unreadable>), ReadError> {
     open_extent(path, Extent::Everything)
 }
@@ -199,14 +199,14 @@ enum Place {
 }
 
 impl SessionReader {
-    /// Opens a session's directory, one recording's directory, or one segment, and reads all small records. A recording that
-    /// cannot be read does not hide the others, see [`Self::unreadable`]; an error where there is none that can.
+    /// Opens a session's directory, one recording's directory, or one segment, and reads all small records. A recording
+    /// that cannot be read does not hide the others, see [`Self::unreadable`]; an error where there is none that can.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         open_extent(path, Extent::Everything).map(Self::of)
     }
 
-    /// As [`Self::open`], but reads closed segments by their indexes only: much faster from a cold disk. Clock samples and
-    /// events stay empty; so do trigger tables of versions that have none in their indexes.
+    /// As [`Self::open`], but reads closed segments by their indexes only: much faster from a cold disk. Clock samples
+    /// and events stay empty; so do trigger tables of versions that have none in their indexes.
     pub fn open_frames(path: &Path) -> Result<Self, ReadError> {
         open_extent(path, Extent::Outcomes).map(Self::of)
     }

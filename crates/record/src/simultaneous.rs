@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Exposures that were not, or may not have been, at the time of the others: of which camera, at which triggers, and why.
+//! Exposures that were not, or may not have been, at the time of the others: of which camera, at which triggers, and
+//! why.
 //!
-//! Frames of a trigger count as simultaneous where one wire, or one clock, fired all cameras. Action commands can miss that
-//! (`docs/design/action-triggers.md`). What missed it is an event for each row of triggers, from which the node, `verify`
-//! and `info` make the same lines.
+//! Frames of a trigger count as simultaneous where one wire, or one clock, fired all cameras. Action commands can miss
+//! that (`docs/design/action-triggers.md`). What missed it is an event for each row of triggers, from which the node,
+//! `verify` and `info` make the same lines.
 
 use super::layout::{MAX_TRIGGERS, NodeEvent};
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -221,21 +222,21 @@ mod tests {
 
     #[test]
     fn lines_name_camera_triggers_and_reason_and_no_crafted_number_costs_time() {
-        let mut told = NotSimultaneous::default();
+        let mut noted = NotSimultaneous::default();
         let event = |trigger: u64, message: &str| NodeEvent {
             trigger: Some(TriggerIndex(trigger)),
             message: message.to_owned(),
             ..TriggerRow::all(0, 0).event(CameraId::from("h1_low"), "", 0)
         };
-        told.note(&event(13, "1 trigger from here on: late"));
-        told.note(&event(11, "2 triggers from here on: late"));
-        told.note(&event(20, "1 trigger from here on: late"));
-        assert_eq!(told.lines(), ["h1_low, triggers 11 to 13, 20: late"]);
-        told.note(&event(u64::MAX, "1 trigger from here on: late"));
-        told.note(&event(5, "18446744073709551615 triggers from here on: odd"));
-        told.note(&event(5, "words"));
-        assert_eq!(told.lines()[1..], ["h1_low, triggers 5 to 16777215: odd", "h1_low, trigger 5: words"]);
-        (0..1000).for_each(|i| told.note(&event(i, &format!("1 trigger from here on: {i}"))));
-        assert_eq!(told.lines().len(), 64);
+        noted.note(&event(13, "1 trigger from here on: late"));
+        noted.note(&event(11, "2 triggers from here on: late"));
+        noted.note(&event(20, "1 trigger from here on: late"));
+        assert_eq!(noted.lines(), ["h1_low, triggers 11 to 13, 20: late"]);
+        noted.note(&event(u64::MAX, "1 trigger from here on: late"));
+        noted.note(&event(5, "18446744073709551615 triggers from here on: odd"));
+        noted.note(&event(5, "words"));
+        assert_eq!(noted.lines()[1..], ["h1_low, triggers 5 to 16777215: odd", "h1_low, trigger 5: words"]);
+        (0..1000).for_each(|i| noted.note(&event(i, &format!("1 trigger from here on: {i}"))));
+        assert_eq!(noted.lines().len(), 64);
     }
 }

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Time code in a recording: events, whose message is JSON, and what code it was at a time of the HSU's clock.
 //!
-//! A **run** is a row of codes each of which follows the one before, with no time between them. Of a run its first code is
-//! recorded, one a second, and its last. Between two of them the others are counted, and a fraction of a frame is by time.
+//! A **run** is a row of codes each of which follows the one before, with no time between them. Of a run its first code
+//! is recorded, one a second, and its last. Between two of them the others are counted, and a fraction of a frame is by
+//! time.
 
 use super::layout::NodeEvent;
 use hsu_firmware_proto::TimeCode;
@@ -90,8 +91,8 @@ impl TimeCodeLine {
         self.heard.values()
     }
 
-    /// The code at a time of the HSU's clock; `None` before, between and after runs, and where what was recorded before and
-    /// after does not add up.
+    /// The code at a time of the HSU's clock; `None` before, between and after runs, and where what was recorded before
+    /// and after does not add up.
     pub fn at(&self, hsu_time_ns: u64) -> Option<TimeCodeAt> {
         let (_, before) = self.heard.range(..=hsu_time_ns).next_back()?;
         let gone_ns = (hsu_time_ns - before.hsu_time_ns) as f64;

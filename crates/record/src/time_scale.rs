@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The time scale of a camera's clock: found from how far it is ahead of the host's clock, which counts UTC.
 //!
-//! PTP's own scale is TAI. A grandmaster may hand out another one, or count from wherever it began, and a camera does not report
-//! which. So it is measured, as well as the host's clock is right.
+//! PTP's own scale is TAI. A grandmaster may hand out another one, or count from wherever it began, and a camera does
+//! not report which. So it is measured, as well as the host's clock is right.
 
 use super::layout::ClockSample;
 use crate::base::ids::CameraId;

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! When the triggers of a session were: by the HSU's own clock, put on the clock of a node.
 //!
-//! From trigger to trigger the HSU's times are right to a microsecond; arrivals of reports and frames are late by whatever held them
-//! up. So the table gives the rhythm, and the one report that was held up least places it on the host's clock.
+//! From trigger to trigger the HSU's times are right to a microsecond; arrivals of reports and frames are late by
+//! whatever held them up. So the table gives the rhythm, and the one report that was held up least places it on the
+//! host's clock.
 
 use super::layout::TriggerRecord;
 use super::reader::RecordingReader;
@@ -30,7 +31,8 @@ impl TriggerTimes {
         table.or_else(|| (!recordings.is_empty()).then_some(Self::Nominal))
     }
 
-    /// Host time of a trigger, ns since 1970. One that no node has in its table lies whole nominal periods from its neighbour.
+    /// Host time of a trigger, ns since 1970. One that no node has in its table lies whole nominal periods from its
+    /// neighbour.
     pub(super) fn at(&self, recordings: &[RecordingReader], trigger: TriggerIndex) -> Option<u64> {
         let Self::Table { recording, host_minus_hsu_ns } = *self else {
             let header = &recordings.first()?.header;

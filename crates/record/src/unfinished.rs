@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recordings that were not finished: what a node looks for when it starts.
 //!
-//! Cheap enough for a start: of a finished recording only the last segment's summary is looked at; of an unfinished
+//! Cheap enough for a start: of a finished recording only the last segment's summary is read; of an unfinished
 //! one the records are walked, which touches a page for each frame, and nothing is hashed.
 
 use super::reader::{Extent, Outcome, RecordingReader};

@@ -17,8 +17,8 @@ use std::ops::Range;
 pub enum Status {
     /// Every camera has a frame for every trigger that was requested.
     Complete,
-    /// As [`Self::Complete`], but the trigger of some frames rests on one source alone, or how they were taken is in doubt:
-    /// a camera's settings changed, or exposures of a trigger were not at one time.
+    /// As [`Self::Complete`], but the trigger of some frames rests on one source alone, or how they were taken is in
+    /// doubt: a camera's settings changed, or exposures of a trigger were not at one time.
     Unconfirmed,
     /// Something is missing, and it is known what and why.
     Incomplete,
@@ -62,8 +62,8 @@ impl CameraVerdict {
 
 /// The verdict on one node's recording: complete or not, with all counts.
 ///
-/// The recording computes it when it is finished, stores it in the last segment and returns it; `verify` computes it again from
-/// the records.
+/// The recording computes it when it is finished, stores it in the last segment and returns it; `verify` computes it
+/// again from the records.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Verdict {
@@ -91,7 +91,8 @@ pub struct Verdict {
     pub not_simultaneous: Vec<String>,
     /// Why the session was aborted.
     pub aborted: Option<String>,
-    /// What the pattern of the gaps shows, and what to do about it. Never read from a file: it is found from its records.
+    /// What the pattern of the gaps shows, and what to do about it. Never read from a file: it is found from its
+    /// records.
     #[serde(default, skip_deserializing, skip_serializing_if = "Advice::is_empty")]
     #[cfg_attr(feature = "schema", schema(value_type = Vec<String>))]
     pub advice: Advice,

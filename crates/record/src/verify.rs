@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recomputes everything that a recording claims from the files alone.
 //!
-//! Nothing stored is believed: every checksum is computed again, outcomes are counted from the records, the stored verdict
-//! has to be what comes out, each frame's sources have to agree on its trigger, and so have the nodes of a session.
+//! Nothing stored is assumed to be right: every checksum is computed again, outcomes are counted from the records, the
+//! stored verdict has to be what comes out, each frame's sources have to agree on its trigger, and so have the nodes of
+//! a session.
 
 mod accounting;
 mod agreement;

@@ -55,10 +55,10 @@ type Latencies = Arc<DiskProgress>;
 
 /// The recording of one node while it is written.
 ///
-/// The session's node thread creates it before any camera is started; the writer thread owns it from then on. It promises that
-/// every camera ends with one outcome per trigger, that what is written is readable after a crash up to a second before it, and
-/// that a failing disk costs frames, never the accounting. [`Self::finish`] ends it with the verdict; without that it is
-/// interrupted, and `fourdbody recover` completes it.
+/// The session's node thread creates it before any camera is started; the writer thread owns it from then on. It
+/// promises that every camera ends with one outcome per trigger, that what is written is readable after a crash up to a
+/// second before it, and that a failing disk costs frames, never the accounting. [`Self::finish`] ends it with the
+/// verdict; without that it is interrupted, and `fourdbody recover` completes it.
 pub struct Recording {
     dir: PathBuf,
     header: RecordingHeader,
@@ -80,8 +80,8 @@ pub struct Recording {
     time_ns: u64,
     last_sync: Instant,
     unsynced: u64,
-    /// Bytes since the free space was looked at.
-    unlooked: u64,
+    /// Bytes written since the free space was checked.
+    unchecked: u64,
     latencies: Latencies,
     /// Counts of segments that are no longer open.
     past: WriteStatistics,
@@ -96,8 +96,8 @@ impl Recording {
         Self::create_for(dir, header, options, bytes, VERSION)
     }
 
-    /// As [`Self::create`], but for this many bytes, whatever the header expects, and in this version of the format: a copy
-    /// of records that do not prove their session must not prove it.
+    /// As [`Self::create`], but for this many bytes, whatever the header expects, and in this version of the format: a
+    /// copy of records that do not prove their session must not prove it.
     pub(super) fn create_for(
         dir: &Path,
         header: RecordingHeader,
@@ -150,7 +150,7 @@ impl Recording {
             noted: Noted::default(),
             last_sync: Instant::now(),
             unsynced: 0,
-            unlooked: 0,
+            unchecked: 0,
             latencies: Latencies::default(),
             past: WriteStatistics::default(),
             stated_statistics: None,
@@ -239,14 +239,14 @@ impl Recording {
         let result = write(&mut entry.segment, &self.header.cameras[camera].id);
         let more = entry.segment.bytes() - before;
         self.unsynced += more;
-        self.unlooked += more;
+        self.unchecked += more;
         self.latencies.bytes.fetch_add(more, Ordering::Relaxed);
         result.or_else(|source| self.fail(source))?;
         self.after_record(place)?;
         self.split_if_due()
     }
 
-    /// How the disk keeps up, to be looked at while this is written.
+    /// How the disk keeps up, for threads that watch the recording.
     pub fn progress(&self) -> Arc<DiskProgress> {
         Arc::clone(&self.latencies)
     }
@@ -470,8 +470,8 @@ impl Recording {
             || self.last_sync.elapsed() >= self.options.sync_interval;
         if due {
             self.sync()?;
-        } else if self.is_look_due() {
-            self.look_at_space()?;
+        } else if self.is_check_due() {
+            self.check_free_space()?;
         }
         if self.segments.len() > 1 {
             self.close_older()?;
@@ -485,14 +485,14 @@ impl Recording {
         result.or_else(|source| self.fail(source))
     }
 
-    /// Asks for everything to be made durable, and looks at the space that is left.
+    /// Requests that everything is made durable, and checks the space that is left.
     fn sync(&mut self) -> Result<(), RecordError> {
         let latencies = &mut self.latencies;
         let result = self.segments.iter_mut().try_for_each(|entry| entry.request_sync(latencies));
         result.or_else(|source| self.fail(source))?;
         self.last_sync = Instant::now();
         self.unsynced = 0;
-        self.look_at_space()
+        self.check_free_space()
     }
 
     fn open_segment(&mut self, first_trigger: u64) -> io::Result<()> {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A session on one page, for whoever asks later what it was worth: verdict, gaps, light, latencies, points, a turning cloud.
+//! The report of a session, one page: verdict, gaps, light, latencies, points, a turning cloud.
 //!
 //! The page is one HTML file that needs nothing else: pictures, points and the script that turns them are inside.
 
@@ -21,7 +21,7 @@ use crate::record::{
 };
 use std::path::{Path, PathBuf};
 
-/// Frames of each camera that are looked at.
+/// Frames of each camera that are measured, spread over the session.
 const LOOKS: u64 = 5;
 
 /// One camera of the session.
@@ -48,7 +48,7 @@ pub struct NodeReport {
     pub node: String,
     /// Directory of the recording, or the single segment.
     pub path: PathBuf,
-    /// What it amounts to; `None`: it was not finished.
+    /// The stored verdict; `None` where it was not finished.
     pub verdict: Option<Verdict>,
     /// How the disk kept up.
     pub statistics: Option<WriteStatistics>,
@@ -83,7 +83,8 @@ pub struct Report {
     pub cloud: Option<(u64, Vec<u8>)>,
 }
 
-/// Looks at a session, and at what was reconstructed of it in `result` (the directory of `fourdbody reconstruct`).
+/// Collects the facts of a session, and of what was reconstructed of it in `result` (the directory of `fourdbody
+/// reconstruct`).
 pub fn gather(session: &Path, result: Option<&Path>) -> Result<Report, ReadError> {
     let reader = SessionReader::open(session)?;
     let of_result = |error: String| match result {

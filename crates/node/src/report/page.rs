@@ -32,16 +32,17 @@ pub struct Playing {
 }
 
 impl Playing {
-    /// Those of `result`, the directory of `fourdbody reconstruct`. Together they have at most `most_bytes` bytes of points
-    /// before they are packed.
+    /// Those of `result`, the directory of `fourdbody reconstruct`. Together they have at most `most_bytes` bytes of
+    /// points before they are packed.
     pub fn open(result: &Path, most_bytes: u64) -> Result<Self, String> {
         let sequence = Sequence::open(result)?;
         let points_each = sequence.points_each(most_bytes);
         Ok(Self { sequence, points_each })
     }
 
-    /// Writes a script element for each, `set-TRIGGER`, in the order of triggers: the first one can be shown while the page is
-    /// still read. Its text is base64 of the packed points. `progress` hears of the frame sets that are done, and of how many.
+    /// Writes a script element for each, `set-TRIGGER`, in the order of triggers: the first one can be shown while the
+    /// page is still read. Its text is base64 of the packed points. `progress` hears of the frame sets that are done,
+    /// and of how many.
     pub fn write(&self, out: &mut impl std::io::Write, progress: impl Fn(u64, u64)) -> Result<(), String> {
         let triggers: Vec<u64> = self.sequence.triggers().collect();
         for (chunk, at_once) in triggers.chunks(AT_ONCE).enumerate() {

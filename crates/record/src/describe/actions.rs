@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What became of each camera's action commands, and its PTP statuses.
+//! Results of each camera's action commands, and its PTP statuses.
 
 use crate::action_counts::ActionCounts;
 use crate::base::ids::CameraId;
@@ -9,7 +9,7 @@ use crate::time_scale::ScaleFound;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// What happened to the action commands of one camera.
+/// Results of the action commands of one camera.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct ActionDescription {
     pub camera: CameraId,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A recording as people read it: facts, what is missing, and tables. `fourdbody info` prints it, the report of a session
-//! shows it; JSON has the same from the functions of [`super`].
+//! A recording as people read it: facts, what is missing, and tables. `fourdbody info` prints it, the report of a
+//! session shows it; JSON has the same from the functions of [`super`].
 
 use super::{
     CameraDescription, actions, cameras, clocks, duration_s, events, measured_rate_hz, missing, ptp,

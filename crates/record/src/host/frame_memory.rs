@@ -93,14 +93,14 @@ pub struct Pool {
 }
 
 impl Pool {
-    /// An empty pool. With `lock`, memory is locked where the system permits; `needed_bytes` is what the whole node will
-    /// take ([`block_bytes`] for each block), for the warning where it does not.
+    /// An empty pool. With `lock`, memory is locked where the system permits; `needed_bytes` is what the whole node
+    /// will take ([`block_bytes`] for each block), for the warning where it does not.
     pub fn new(lock: bool, needed_bytes: u64) -> Self {
         Self { shelf: Arc::default(), lock, needed: needed_bytes }
     }
 
-    /// `count` blocks for `pixel_bytes` of pixels each that come as `received_bytes`, which may be more: those of earlier
-    /// sessions first, then fresh ones, all touched. Kept blocks of other sizes are freed.
+    /// `count` blocks for `pixel_bytes` of pixels each that come as `received_bytes`, which may be more: those of
+    /// earlier sessions first, then fresh ones, all touched. Kept blocks of other sizes are freed.
     ///
     /// # Errors
     /// The system has no memory for them; a camera that comes back during a session then stays away, and the others go on.
@@ -170,7 +170,8 @@ impl Pool {
     }
 }
 
-/// Bytes of memory of a block that receives `received_bytes`: whole pages, so that the pixels of all blocks start on one.
+/// Bytes of memory of a block that receives `received_bytes`: whole pages, so that the pixels of all blocks start on
+/// one.
 pub fn block_bytes(received_bytes: usize) -> usize {
     Sizes::new(received_bytes, received_bytes).in_memory()
 }

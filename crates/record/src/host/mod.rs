@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the program requires of Linux: memory for frames, real-time threads, an allocator that keeps its memory, idle processes.
+//! What the program requires of Linux: memory for frames, real-time threads, an allocator that keeps its memory, idle
+//! processes.
 
 /// Blocks of memory that frames are received into.
 pub mod frame_memory;

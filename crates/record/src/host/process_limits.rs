@@ -2,8 +2,8 @@
 //! Limits on the memory of this process (`ulimit -v`, `ulimit -d`): whether a session fits, before it begins.
 //!
 //! Libraries that this program stands on end the process where they get no memory: a thread that cannot be started, a
-//! list that cannot grow. So nothing is begun that a limit has no room for. What the process had before its first session
-//! is what the rest is measured from: what a session leaves behind is used again by the next one.
+//! list that cannot grow. So nothing is begun that a limit has no room for. What the process had before its first
+//! session is what the rest is measured from: what a session leaves behind is used again by the next one.
 
 use super::memory::bytes_of;
 use super::realtime::soft_limit;
@@ -53,13 +53,13 @@ impl ProcessMemory {
         Self { at_start: text.ok().and_then(|text| Counted::in_status(&text)) }
     }
 
-    /// Refuses a session of `cameras` cameras with `frame_bytes` bytes of memory for frames, if the present limits of the
-    /// process have no room for it.
+    /// Refuses a session of `cameras` cameras with `frame_bytes` bytes of memory for frames, if the present limits of
+    /// the process have no room for it.
     ///
     /// # Errors
     /// The limit by name, what it is and what it would have to be.
     pub fn check(&self, cameras: u64, frame_bytes: u64) -> Result<(), Fault> {
-        // Where the system does not tell what the process has, its limits are not known to be in the way.
+        // Where the system does not report what the process has, nothing is refused.
         let Some(at_start) = self.at_start else { return Ok(()) };
         let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get) as u64;
         let limits =

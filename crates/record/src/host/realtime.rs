@@ -32,8 +32,8 @@ pub fn configure(realtime: &Realtime) {
     CONFIGURED.get_or_init(|| realtime.clone());
 }
 
-/// Gives the calling thread what the process was configured with; a refusal becomes a warning. Whether it gets a processor
-/// is watched from then on ([`super::run_delay`]).
+/// Gives the calling thread what the process was configured with; a refusal becomes a warning. Whether it gets a
+/// processor is watched from then on ([`super::run_delay`]).
 pub fn enter_configured(role: &str) {
     let Some(realtime) = CONFIGURED.get() else { return };
     super::run_delay::watch(role);

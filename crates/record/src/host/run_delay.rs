@@ -91,8 +91,8 @@ pub fn watch(role: &str) {
     watched().push(Watched { role, schedstat, counts, read, last });
 }
 
-/// The watched thread that stood still for want of a processor, if any did; of several the one that waited longest. Looks at
-/// most every 200 ms, and costs a system call a thread then.
+/// The watched thread that stood still for want of a processor, if any did; of several the one that waited longest.
+/// Looks at most every 200 ms, and costs a system call a thread then.
 pub fn starved() -> Option<Starved> {
     let mut worst: Option<Starved> = None;
     watched().retain_mut(|thread| {

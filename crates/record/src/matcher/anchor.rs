@@ -2,10 +2,10 @@
 //! Where a stream begins: which trigger its first frames are of.
 //!
 //! Three sources are evidence of it, and two must agree. An armed stream is silent before the train starts, so by its
-//! **counter** the first block is the first warm-up trigger's, unless the camera ignored that. The HSU leaves longer pauses
-//! before some triggers of the warm-up (`hsu-protocol.md`), so the **clock** of the camera and the **arrivals** each show a
-//! rhythm: only at the right place is the way from trigger to timestamp, or to arrival, the same for all frames. How long
-//! that way is, is not assumed, and neither is it that the camera takes every trigger.
+//! **counter** the first block is the first warm-up trigger's, unless the camera ignored that. The HSU leaves longer
+//! pauses before some triggers of the warm-up (`hsu-protocol.md`), so the **clock** of the camera and the **arrivals**
+//! each show a rhythm: only at the right place is the way from trigger to timestamp, or to arrival, the same for all
+//! frames. How long that way is, is not assumed, and neither is it that the camera takes every trigger.
 
 use super::sighting::Sighting;
 use super::trigger_table::TriggerTable;
@@ -94,7 +94,7 @@ impl Anchoring {
         self.frames.last()
     }
 
-    /// The frames that are looked at, in order.
+    /// The frames that are kept, in the order of arrival.
     pub fn frames(&self) -> &[Early] {
         &self.frames
     }
@@ -213,7 +213,8 @@ impl Anchoring {
     }
 }
 
-/// How many triggers each id stands for, where that is more than one for all of these frames: count of ids, and trigger.
+/// Triggers from one id to the next, where that is the same number above one for all of these frames (count of ids,
+/// trigger).
 pub fn pace_of(frames: impl Iterator<Item = (i64, i64)>) -> Option<i64> {
     let frames: Vec<(i64, i64)> = frames.collect();
     let steps =

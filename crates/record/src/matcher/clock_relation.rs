@@ -3,7 +3,8 @@
 
 /// Share of a residual by which the offset is corrected; that of the first frames is larger.
 const OFFSET_SHARE: f64 = 1.0 / 16.0;
-/// Share of a residual, per time since the last frame, by which the drift is corrected: slow enough for 200 us of noise.
+/// Share of a residual, per time since the last frame, by which the drift is corrected: slow enough for 200 us of
+/// noise.
 const DRIFT_SHARE: f64 = 1.0 / 1024.0;
 /// Largest drift between two clocks that is followed, as a share of the rate.
 const DRIFT_LIMIT: f64 = 600e-6;
@@ -72,8 +73,8 @@ pub(super) struct Latency {
     late: usize,
 }
 
-/// Whether the last frames came as soon behind a trigger, of whichever, as the quickest do: where a host takes frames up
-/// at any time, half of them do.
+/// Whether the last frames came as soon behind a trigger, of whichever, as the quickest do: where a host takes frames
+/// up at any time, half of them do.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct OnTime(u8);
 
@@ -101,8 +102,9 @@ pub(super) struct Envelope {
     pub(super) least_ns: i128,
     /// The share of frames that come within a quarter of a period of it.
     pub(super) quick: f64,
-    /// Within three quarters: else arrivals do not tell one trigger from the next.
-    pub(super) tells: bool,
+    /// Whether arrivals distinguish one trigger from the next: enough frames come within three quarters of a period of
+    /// it.
+    pub(super) distinguishes: bool,
 }
 
 /// The share of frames that are alike where arrivals are regular.
@@ -144,7 +146,8 @@ impl Latency {
         (known.len() >= Self::ENOUGH).then(|| Envelope {
             least_ns: least.into(),
             quick,
-            tells: quick >= REGULAR || (known.len() >= 8 && (within(3) >= REGULAR || within(2) >= 0.625)),
+            distinguishes: quick >= REGULAR
+                || (known.len() >= 8 && (within(3) >= REGULAR || within(2) >= 0.625)),
         })
     }
 }

@@ -75,8 +75,8 @@ impl Matcher {
             return Timing::Early;
         }
         let period_ns = i128::from(self.start.period_ns);
-        let tells = self.envelope().is_some_and(|known| known.tells);
-        match self.late_ns(frame, due, case.hsu).filter(|_| tells) {
+        let distinct = self.envelope().is_some_and(|known| known.distinguishes);
+        match self.late_ns(frame, due, case.hsu).filter(|_| distinct) {
             Some(ns) if ns < -period_ns / 4 => Timing::Early,
             Some(ns) if ns.abs() <= period_ns / 4 => Timing::InTime,
             Some(ns) if ns <= period_ns * 3 / 4 => Timing::Slow,
@@ -147,8 +147,8 @@ impl Matcher {
         Claim { frame, by_id, by_clock: exposed.and_then(at), exposed }
     }
 
-    /// Counter and clock name the same trigger. A frame that comes late waits for one behind it that does not: as long as
-    /// the frames behind stand as it does, they are of one piece with it.
+    /// Counter and clock name the same trigger. A frame that comes late waits for one behind it that does not: as long
+    /// as the frames behind stand as it does, they are of one piece with it.
     fn agreed(&mut self, case: &Case<'_>, own: &Claim<'_>, behind: &[Claim<'_>]) -> Match {
         let number = own.by_id;
         if !self.is_fresh(number) {
@@ -165,7 +165,7 @@ impl Matcher {
             return self.give_up(case.frame);
         }
         let doubtful = self.unsettled || self.last.is_some_and(|last| number > last.number + 1);
-        let tells = self.envelope().is_some_and(|known| known.tells);
+        let distinct = self.envelope().is_some_and(|known| known.distinguishes);
         // In a doubtful time no loss may lie between it and those that are in time.
         let arrivals = match doubtful {
             true => {
@@ -174,11 +174,11 @@ impl Matcher {
             }
             false => arrivals,
         };
-        // Where arrivals do not tell triggers apart, two witnesses must do.
+        // Where arrivals do not distinguish triggers, two witnesses suffice.
         let before = self.last.is_some_and(|last| last.in_time && number == last.number + 1);
         // What the rhythm lets expect is no trigger that was reported: one may have been held.
         let known = !doubtful || !(case.table.is_bridged(number) || case.table.is_expected(number));
-        let enough = match doubtful && tells {
+        let enough = match doubtful && distinct {
             _ if !known => false,
             true if self.unsettled => {
                 let in_time = arrivals.in_time + usize::from(before);
@@ -186,7 +186,7 @@ impl Matcher {
                 soon > IN_TIME && in_time >= IN_TIME_AGREED
             }
             true => arrivals.soon + usize::from(before) >= IN_TIME_AGREED,
-            false => arrivals.soon > 0 || !(tells || self.unsettled),
+            false => arrivals.soon > 0 || !(distinct || self.unsettled),
         };
         if enough && !self.is_shifted(case, chain()) {
             return self.accept(case, number, None);
@@ -216,8 +216,8 @@ impl Matcher {
         self.on_time.is_calm() && one_by_one.count() >= IN_TIME
     }
 
-    /// Whether the frames before the next that are missing are late by whole periods, all alike: that is no host that stood
-    /// still, but triggers that are miscounted.
+    /// Whether the frames before the next that are missing are late by whole periods, all alike: that is no host that
+    /// stood still, but triggers that are miscounted.
     fn is_shifted<'a>(&self, case: &Case<'_>, chain: impl Iterator<Item = (&'a Sighting, i64)>) -> bool {
         let period_ns = i128::from(self.start.period_ns);
         let mut expected = None;
@@ -261,8 +261,8 @@ impl Matcher {
                 return answer;
             }
         }
-        // Whether the clock gives the frames behind later triggers than their ids, earlier ones or the same: as far as they
-        // agree with the first of them.
+        // Whether the clock gives the frames behind later triggers than their ids, earlier ones or the same: as far as
+        // they agree with the first of them.
         let sides = || behind.iter().filter_map(|claim| Some(claim.by_clock?.cmp(&claim.by_id)));
         let side = sides().next();
         let alike = sides().take_while(|other| Some(*other) == side).count();
@@ -398,7 +398,7 @@ impl Matcher {
             .then(|| self.clock_was_set(case, own))
     }
 
-    /// Ids go on, the clock does not: its relation is learned anew from here.
+    /// Ids go on, the clock does not: its relation is learned again from here.
     fn clock_was_set(&mut self, case: &Case<'_>, own: &Claim<'_>) -> Match {
         let (Some(camera_ns), Some(due)) = (case.frame.camera_ns, case.table.reported_ns(own.by_id)) else {
             return self.give_up(case.frame);
@@ -415,8 +415,8 @@ impl Matcher {
         Match::Trigger(self.place(case.frame, own.by_id, Some(Finding::ClockReset(residual))))
     }
 
-    /// A camera without timestamps: its counter and the arrivals are the witnesses. A frame that is late may be of a later
-    /// trigger, if the camera ignored some; of one that is early, ids have jumped.
+    /// A camera without timestamps: its counter and the arrivals are the witnesses. A frame that is late may be of a
+    /// later trigger, if the camera ignored some; of one that is early, ids have jumped.
     pub(super) fn by_counter_and_arrival(&mut self, case: &Case<'_>) -> Match {
         let mut before = 0;
         let behind = case.followers.iter().map_while(|frame| {
@@ -426,7 +426,8 @@ impl Matcher {
             Some((frame, case.by_id.checked_add(steps).filter(|_| goes_on)?))
         });
         let in_time = self.timing(case, case.frame, case.by_id) == Timing::InTime;
-        // After a contradiction that nothing resolved, an extra frame between two triggers must not pass for the next one's.
+        // After a contradiction that nothing resolved, an extra frame between two triggers must not pass for the next
+        // one's.
         let due = case.table.time_ns(case.by_id);
         let late = due.and_then(|due| self.late_ns(case.frame, due, case.hsu));
         let near = !self.unsettled || late.is_some_and(|ns| ns.abs() <= i128::from(self.start.period_ns / 8));
@@ -449,8 +450,8 @@ impl Matcher {
         }
     }
 
-    /// Whether arrivals speak for the triggers that they were held against: as many frames are in time as there should be,
-    /// and it cannot be that all of them are late ones of earlier triggers.
+    /// Whether arrivals confirm the triggers that they were compared with: as many frames are in time as there should
+    /// be, and it cannot be that all of them are late ones of earlier triggers.
     pub(super) fn convince(&self, arrivals: Arrivals) -> bool {
         self.envelope().is_some_and(|known| {
             let frames = arrivals.frames as f64;

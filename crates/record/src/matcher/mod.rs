@@ -37,7 +37,8 @@ use trigger_table::TriggerTable;
 
 /// Frames that must have arrived behind one that no rhythm places, before the habits of cameras alike are used for it.
 const LIKE_FOLLOWERS: usize = 5;
-/// Frames given up in a row after which the relation of ids and clock to triggers is taken to be wrong, and sought anew.
+/// Frames given up in a row after which the relation of ids and clock to triggers is taken to be wrong, and sought
+/// again.
 const GIVEN_UP_MAX: u32 = 8;
 
 /// What is known before a camera's first frame.
@@ -80,9 +81,9 @@ enum Stage {
 
 /// Matches the frames of one camera to triggers, in the order in which they arrive.
 ///
-/// The recorder's accounting makes one for each camera when a session is prepared, and owns it until the session ends. It
-/// promises that a frame gets a trigger only where two independent sources agree on it; all others are given up. It is never
-/// replaced during a session: a camera that comes back calls [`Self::restart`].
+/// The recorder's accounting makes one for each camera when a session is prepared, and owns it until the session ends.
+/// It promises that a frame gets a trigger only where two independent sources agree on it; all others are given up. It
+/// is never replaced during a session: a camera that comes back calls [`Self::restart`].
 #[derive(Debug)]
 pub struct Matcher {
     start: Start,
@@ -92,13 +93,14 @@ pub struct Matcher {
     latency: Latency,
     on_time: OnTime,
     ids: BlockIds,
-    /// The trigger that the last id taken stands for.
+    /// The trigger of the last id that was taken.
     base: i64,
     /// Ids skipped before frames that were not recorded.
     lost_before: u64,
     last: Option<Last>,
     given_up: u32,
-    /// Counter and clock contradicted each other, and nothing decided which was right: agreement afterwards proves nothing.
+    /// Counter and clock contradicted each other, and nothing decided which was right: agreement afterwards proves
+    /// nothing.
     unsettled: bool,
     /// The first id of the stream with which the session began.
     first_id: Option<BlockId>,
@@ -139,8 +141,8 @@ impl Matcher {
         }
     }
 
-    /// Takes an exchange with the camera's clock into account. Where it shows that the clock was set, that counts for frames
-    /// that are in doubt.
+    /// Takes an exchange with the camera's clock into account. Where it shows that the clock was set, that counts for
+    /// frames that are in doubt.
     pub fn clock_sample(&mut self, exchange: &Exchange) -> Judged {
         self.clock.exchange(exchange)
     }
@@ -152,7 +154,8 @@ impl Matcher {
 
     /// How long this camera takes, where that is measured.
     pub fn habits(&self) -> Option<Habits> {
-        let known = matches!(self.stage, Stage::Known) && self.like.is_none() && self.envelope()?.tells;
+        let known =
+            matches!(self.stage, Stage::Known) && self.like.is_none() && self.envelope()?.distinguishes;
         let stamp_delay_ns = self.clock.stamp_delay_ns.filter(|_| known)?;
         Some(Habits { stamp_delay_ns, latency: self.latency })
     }
@@ -162,8 +165,8 @@ impl Matcher {
         matches!(self.stage, Stage::Beginning(..)) && self.like.is_none()
     }
 
-    /// What another camera of the same head or make takes: a camera that slept through the warm-up is placed by it, where
-    /// its clock and its arrivals both bear it out.
+    /// What another camera of the same head or make takes: a camera that slept through the warm-up is placed by it,
+    /// where its clock and its arrivals both bear it out.
     pub fn presume(&mut self, like: Habits) {
         self.like = Some(like);
     }
@@ -173,8 +176,8 @@ impl Matcher {
         &self.clock.fit
     }
 
-    /// The camera is back with a fresh stream: ids begin anew, its clock may have been set. How long it takes to stamp
-    /// a frame and to send it stays.
+    /// The camera is back with a fresh stream: ids begin again, its clock may have been set. The times that it takes
+    /// to stamp and to send a frame are kept.
     pub fn restart(&mut self, train_began: bool) {
         self.clock.restart();
         self.ids = BlockIds::default();
@@ -187,7 +190,8 @@ impl Matcher {
         self.last = self.last.map(|last| Last { camera_ns: None, in_time: false, ..last });
     }
 
-    /// What a frame by itself shows of its trigger: the number by its id, and the time (HSU clock, ns) by its timestamp.
+    /// What a frame by itself shows of its trigger: the number by its id, and the time (HSU clock, ns) by its
+    /// timestamp.
     pub fn claim(&self, frame: &Sighting) -> Option<(i64, i128)> {
         let known = matches!(self.stage, Stage::Known) && frame.complete;
         let camera_ns = frame.camera_ns.filter(|_| known)?;
@@ -249,8 +253,8 @@ impl Matcher {
             (self.given_up, self.unsettled) = before;
         }
         self.note_arrival(&case, answer);
-        // Without timestamps nothing could find the place again, but ids go on: once frames are in time for them, they are
-        // right.
+        // Without timestamps nothing could find the place again, but ids go on: once frames are in time for them, they
+        // are right.
         if answer == Match::Undecided && self.given_up >= GIVEN_UP_MAX && self.tracker.is_some() {
             self.stage = Stage::Lost(self.tracker.take());
         }
@@ -266,7 +270,8 @@ impl Matcher {
         }
     }
 
-    /// A frame of a stream whose place in the train is not settled yet; `None` once it is, by the frames before this one.
+    /// A frame of a stream whose place in the train is not settled yet; `None` once it is, by the frames before this
+    /// one.
     fn begin(
         &mut self,
         frame: &Sighting,
@@ -526,8 +531,8 @@ impl Matcher {
         let skipped = self.last.map_or(number.max(0), |last| (number - last.number - 1).max(0)) as u64;
         let (mut lost, mut ignored, mut finding) = (skipped, 0, finding);
         if let Some(first) = self.first_id.filter(|_| self.last.is_none()) {
-            // What the stream's ids do not count before its first frame that has a trigger, the camera ignored; not what came
-            // and was given up.
+            // What the stream's ids do not count before its first frame that has a trigger, the camera ignored; not
+            // what came and was given up.
             let before = number.saturating_add(self.start.warm_up.into());
             let uncounted = before.saturating_sub(self.ids.between(first.0, frame.id.0));
             let without_frame = skipped.saturating_sub(self.given_up.into());

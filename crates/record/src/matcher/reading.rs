@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A camera's clock, read when its frames are in doubt: the witness that knows what was done to it.
 //!
-//! Ids and timestamps show that something changed, not what. Arrivals tell triggers apart only where the host takes
+//! Ids and timestamps show that something changed, not what. Arrivals distinguish triggers only where the host takes
 //! packets up at once, and Aravis does so every 5 ms where few come. A reading that is requested after a frame has come
-//! shows whether the camera's clock runs as before: then its timestamp is right; if not, the reading shows how it runs now.
+//! shows whether the camera's clock runs as before: then its timestamp is right; if not, the reading shows how it runs
+//! now.
 
 use super::sighting::Sighting;
 use crate::base::clock_fit::{ClockFit, Exchange, Judged};
@@ -66,8 +67,8 @@ impl CameraClock {
             Judged::Reset { step_ns } => {
                 self.to_measure.clear();
                 self.set_ns = exchange.host_receive_ns;
-                // Set by much, a stamp from before cannot be taken for one from behind. Of frames from long before the reading
-                // that is not enough: the clock may have been set twice since.
+                // Set by much, a stamp from before cannot be taken for one from behind. Of frames from long before the
+                // reading that is not enough: the clock may have been set twice since.
                 let far = step_ns.unsigned_abs() > u128::from((LATE_PERIODS + 1) * self.period_ns);
                 let before =
                     if far { (LATE_PERIODS + PROMPT_PERIODS) * self.period_ns + PROMPT_NS } else { 0 };
@@ -103,8 +104,8 @@ impl CameraClock {
         std::mem::take(&mut self.wanted)
     }
 
-    /// Whether readings tell triggers apart: it answers, and the way to the timestamp is measured.
-    pub(super) fn tells(&self) -> bool {
+    /// Whether readings distinguish triggers: the clock answers, and the delay to the timestamp is measured.
+    pub(super) fn distinguishes(&self) -> bool {
         self.answers && self.stamp_delay_ns.is_some()
     }
 
@@ -153,7 +154,8 @@ impl CameraClock {
         if read && self.holds(frame) { self.fired_ns(frame, hsu) } else { None }
     }
 
-    /// Whether the clock ran since before this frame as it does now, or was set by so much that the stamp would show it.
+    /// Whether the clock ran since before this frame as it does now, or was set by so much that the stamp would show
+    /// it.
     fn holds(&self, frame: &Sighting) -> bool {
         self.holds_from_ns.saturating_add(LATE_PERIODS * self.period_ns) <= frame.host_ns
     }
@@ -161,10 +163,10 @@ impl CameraClock {
     /// Whether a reading for this frame is still to come; if so it is requested.
     pub(super) fn awaits(&mut self, frame: &Sighting, hsu: &ClockFit) -> bool {
         let after = |ns: u64| self.read_ns.is_some_and(|requested| requested > ns);
-        // Once more where the first ones took too long to tell triggers apart, but not for ever.
+        // Again where the first readings took too long to distinguish triggers, but only for a while.
         let no_more = after(frame.host_ns.saturating_add(PATIENCE_NS)) || !self.holds(frame);
         let done = after(frame.host_ns) && (no_more || self.read_fired_ns(frame, hsu).is_some());
-        let awaited = self.tells() && frame.camera_ns.is_some() && !done;
+        let awaited = self.distinguishes() && frame.camera_ns.is_some() && !done;
         self.wanted |= awaited;
         awaited
     }

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The trigger of the first frame of a stream that begins while the train runs: a camera that is back, or one whose place
-//! was lost.
+//! The trigger of the first frame of a stream that begins while the train runs: a camera that is back, or one whose
+//! place was lost.
 //!
-//! Its ids are no evidence yet. Its clock, read behind the frame, names a trigger, since what its stamps take from one was
-//! measured when the train began; of a clock that cannot be read, its relation from before must do. The arrivals of this
-//! frame and of those behind it must name the same. One of the two alone is not enough.
+//! Its ids are no evidence yet. Its clock, read behind the frame, names a trigger, since what its stamps take from one
+//! was measured when the train began; of a clock that cannot be read, its relation from before must do. The arrivals of
+//! this frame and of those behind it must name the same. One of the two alone is not enough.
 
 use super::anchor::pace_of;
 use super::clock_relation::Tracker;
@@ -91,8 +91,8 @@ impl Matcher {
             let unchanged = tracked.is_some_and(|ns| (ns - read).abs() <= period_ns / 4);
             return Some(Named { number, unchanged });
         }
-        // Where readings are to be had, nothing else is believed.
-        if self.clock.tells() {
+        // Where the clock can be read, only readings are used.
+        if self.clock.distinguishes() {
             return None;
         }
         let (number, residual) = case.table.nearest(tracked?)?;

@@ -4,8 +4,8 @@
 use hsu_firmware_proto::PAUSE_BEFORE;
 use std::collections::VecDeque;
 
-/// One trigger's time. Where its report is missing or contradicts the train's rhythm, `hsu_ns` is inferred from cameras or
-/// calculated from the sound reports around it.
+/// One trigger's time. Where its report is missing or contradicts the train's rhythm, `hsu_ns` is inferred from cameras
+/// or calculated from the sound reports around it.
 #[derive(Debug, Clone, Copy)]
 struct Row {
     hsu_ns: u64,
@@ -33,7 +33,7 @@ impl Row {
 
 /// Times of the triggers so far, HSU clock, by number; warm-up triggers have negative numbers.
 ///
-/// The HSU's times are a source of their own and can be wrong. What tells is their rhythm (`hsu-protocol.md`): two triggers
+/// The HSU's times are a source of their own and can be wrong. Their rhythm shows it (`hsu-protocol.md`): two triggers
 /// are at least 7/8 of a period apart, one that comes later than it should is flagged, and no report arrives before its
 /// trigger was fired. A report that contradicts this is kept out: its trigger counts as not reported, and so do those
 /// behind it, until a report is in rhythm with the last sound one again.
@@ -80,8 +80,8 @@ impl TriggerTable {
         self.report(number, hsu_ns, true, true);
     }
 
-    /// Notes a reported time. `late`: the HSU flags it as late; `possible`: it did not arrive before that time. Reports may
-    /// be repeated, and missing ones may come later. Numbers out of all bounds are ignored.
+    /// Notes a reported time. `late`: the HSU flags it as late; `possible`: it did not arrive before that time. Reports
+    /// may be repeated, and missing ones may come later. Numbers out of all bounds are ignored.
     pub fn report(&mut self, number: i64, hsu_ns: u64, late: bool, possible: bool) {
         if !(-WARM_UP_MAX..TRIGGERS_MAX).contains(&number) {
             return;
@@ -98,7 +98,7 @@ impl TriggerTable {
         if number - self.end() + 1 > HOLE_MAX {
             return;
         }
-        let Some(anchor) = self.anchor else { return self.begin_anew(number, hsu_ns, possible) };
+        let Some(anchor) = self.anchor else { return self.begin_again(number, hsu_ns, possible) };
         if number <= anchor.number {
             return self.fill(number, hsu_ns, possible);
         }
@@ -129,7 +129,8 @@ impl TriggerTable {
         self.anchor = Some(Anchor { pause_ns, ..Anchor::at(number, hsu_ns, step_ns) });
     }
 
-    /// Rows up to a trigger; `hsu_ns` calculates the time of one by its distance from the last sound report, in triggers.
+    /// Rows up to a trigger; `hsu_ns` calculates the time of one by its distance from the last sound report, in
+    /// triggers.
     fn grow_to(&mut self, number: i64, hsu_ns: impl Fn(i64) -> u64) {
         let anchor = self.anchor.map_or(self.first, |anchor| anchor.number);
         while self.end() <= number {
@@ -161,7 +162,8 @@ impl TriggerTable {
         let pauses =
             PAUSE_BEFORE.iter().filter(|pause| (anchor.number + 1..=number).contains(*pause)).count() as i128;
         if anchor.contradicted {
-            // Back in the old rhythm, and nowhere else: a step that is a period off would else be taken after some triggers.
+            // Back in the old rhythm, and nowhere else: a step that is a period off would else be taken after some
+            // triggers.
             let plain = span - (anchor.step_ns * steps as f64) as i128;
             let pause = |ns: i128| (plain - pauses * ns).abs() <= period / 8;
             let paused = anchor.pause_ns.map_or_else(|| pause(period / 2) || pause(period), pause);
@@ -180,7 +182,7 @@ impl TriggerTable {
     }
 
     /// The first sound report, behind others that were not.
-    fn begin_anew(&mut self, number: i64, hsu_ns: u64, possible: bool) {
+    fn begin_again(&mut self, number: i64, hsu_ns: u64, possible: bool) {
         self.grow_to(number, |_| hsu_ns);
         let row = &mut self.rows[(number - self.first) as usize];
         *row = Row::reported(hsu_ns, possible);
@@ -258,7 +260,8 @@ impl TriggerTable {
         self.spread(number, hsu_ns);
     }
 
-    /// Between two reports triggers need not lie evenly: one may have been late. No two are closer than 7/8 of a period.
+    /// Between two reports triggers need not lie evenly: one may have been late. No two are closer than 7/8 of a
+    /// period.
     fn infer_between(&mut self, number: i64, hsu_ns: u64) {
         let Some(place) =
             usize::try_from(number - self.first).ok().filter(|place| !self.rows[*place].has_report)
@@ -278,8 +281,8 @@ impl TriggerTable {
         self.spread(number, next_ns);
     }
 
-    /// The time of a trigger; `None` also where reports contradict each other and the train has paused since the last sound
-    /// one, for a time that is not known.
+    /// The time of a trigger; `None` also where reports contradict each other and the train has paused since the last
+    /// sound one, for a time that is not known.
     pub fn time_ns(&self, number: i64) -> Option<u64> {
         self.row(number).filter(|_| self.is_calculable(number)).map(|row| row.hsu_ns)
     }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The header that is used, and one that is rebuilt where none is readable.
 //!
-//! A segment's header has a checksum of its own (`crc32`), those of older recordings only the data section's, which only a
-//! closed segment has. Frames do not depend on it: their envelopes name the camera.
+//! A segment's header has a checksum of its own (`crc32`), those of older recordings only the data section's, which
+//! only a closed segment has. Frames do not depend on it: their envelopes name the camera.
 
 use super::salvage::{SegmentScan, SmallRecord};
 use crate::base::ids::{CameraId, NodeId, SessionName};
@@ -33,7 +33,8 @@ fn cameras_of(scans: &[SegmentScan]) -> Vec<&(String, u32, u32)> {
     scans.iter().flat_map(|scan| &scan.cameras).filter(|camera| known.insert(*camera)).collect()
 }
 
-/// A header without proof, corrected by what the frames' envelopes prove (names and sizes), and by records that only an HSU makes.
+/// A header without proof, corrected by what the frames' envelopes prove (names and sizes), and by records that only an
+/// HSU makes.
 fn corrected(mut header: RecordingHeader, scans: &[SegmentScan]) -> RecordingHeader {
     let seen = cameras_of(scans);
     let mut unknown: Vec<_> =
@@ -133,8 +134,8 @@ fn rate(rig_text: &str, scans: &[SegmentScan]) -> f64 {
     if periods == 0 || ns == 0 { 0.0 } else { periods as f64 * 1e9 / ns as f64 }
 }
 
-/// Takes over from another node's recording of the session what a header that was made anew cannot know, and one that is
-/// not proven may have wrong. Either the id or the name of the session has to agree.
+/// Takes over from another node's recording of the session what a rebuilt header does not have, and one that is not
+/// proven may have wrong. Either the id or the name of the session has to agree.
 pub fn adopt(rebuilt: &mut RecordingHeader, other: &RecordingHeader) {
     let known = !rebuilt.session_id.is_empty();
     if known && rebuilt.session_id != other.session_id && rebuilt.session != other.session {

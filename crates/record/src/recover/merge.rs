@@ -27,7 +27,7 @@ pub struct Salvage {
     pub path: PathBuf,
     /// The header that is used, possibly rebuilt.
     pub header: RecordingHeader,
-    /// Whether the header was not readable and had to be made anew.
+    /// Whether the header was not readable and was rebuilt.
     pub rebuilt: bool,
     /// Whether a checksum proves the header.
     pub proven: bool,
@@ -115,7 +115,7 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
         files: opened,
     };
     if rebuilt {
-        salvage.note(0, "no segment has a readable header: made anew from the frames");
+        salvage.note(0, "no segment has a readable header: rebuilt from the frames");
     }
     salvage.note_missing_segments(files, single);
     closed_to_us.into_iter().for_each(|(number, reason)| salvage.note(number, reason));
@@ -162,7 +162,7 @@ impl Salvage {
         }
     }
 
-    /// Small records have numbers: those that are not there were lost, even where nothing else tells. A single segment
+    /// Small records have numbers: those that are absent were lost, even where nothing else shows it. A single segment
     /// has only some of them.
     fn note_missing_records(&mut self) {
         let end = self.records.max(self.numbers.end()).min(MAX_TRIGGERS);
@@ -367,8 +367,8 @@ impl Salvage {
     }
 }
 
-/// The mark that the records must have. An id that no checksum proves is compared with the marks of the frames: where most
-/// contradict it, the id is damaged, and the recording stays without one.
+/// The mark that the records must have. An id that no checksum proves is compared with the marks of the frames: where
+/// most contradict it, the id is damaged, and the recording stays without one.
 fn belonging(
     mut header: RecordingHeader,
     proven: bool,

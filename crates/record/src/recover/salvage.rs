@@ -24,7 +24,7 @@ use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-/// What it costs to look at something found once more, in bytes of the budget.
+/// Cost of examining one found record again, in bytes of the budget.
 const FOUND_BYTES: usize = 64;
 /// Why an index is not followed any further.
 const INDEXED_OVER_AND_OVER: &str =
@@ -140,7 +140,7 @@ struct Scanner<'a> {
     advance: &'a dyn Fn(u64),
     reported: usize,
     found: SegmentScan,
-    /// Records of the chunk that the walk is in, and whether they may be believed.
+    /// Records of the chunk that the walk is in, and whether they may be used.
     chunk: Range<usize>,
     trusted: bool,
     /// Whether a checksum proves everything in the chunk but pixels; a chunk that is cut has none.
@@ -150,7 +150,7 @@ struct Scanner<'a> {
     hashed: usize,
     /// Whether an index has been named.
     indexed: bool,
-    /// Bytes that may still be looked at, see [`budget`].
+    /// Bytes that may still be examined, see [`budget`].
     budget: usize,
 }
 
@@ -256,8 +256,8 @@ impl<'a> Scanner<'a> {
         if !whole || self.hashed > records.start {
             return;
         }
-        self.look_at(2 * records.len());
-        // Zeros stand where nothing can be read: the checksum tells, as of any damage.
+        self.spend(2 * records.len());
+        // Zeros stand where nothing can be read: the checksum shows that, as any damage.
         self.file.pass(self.hashed..records.start, |bytes| self.data.update(bytes));
         let mut of_chunk = Hasher::new();
         self.file.pass(records.clone(), |bytes| of_chunk.update(bytes));
@@ -277,7 +277,7 @@ impl<'a> Scanner<'a> {
     }
 
     /// The checksum that a chunk's records would have with the pixels that their envelopes state. Nearly all bytes are
-    /// pixels: if it is right, only pixels are damaged, and the small records between them may be believed.
+    /// pixels: if it is right, only pixels are damaged, and the small records between them may be used.
     fn but_for_pixels(&self, records: &Range<usize>) -> Hasher {
         let (mut whole, mut done) = (Hasher::new(), records.start);
         let mut front = Vec::new();
@@ -300,7 +300,7 @@ impl<'a> Scanner<'a> {
     }
 
     fn message(&mut self, data: Range<usize>) -> Result<(), String> {
-        self.look_at(data.len());
+        self.spend(data.len());
         if self.budget == 0 {
             return Err("there is more in its records than in the file".to_owned());
         }
@@ -322,7 +322,7 @@ impl<'a> Scanner<'a> {
         Ok(())
     }
 
-    fn look_at(&mut self, bytes: usize) {
+    fn spend(&mut self, bytes: usize) {
         self.budget = self.budget.saturating_sub(bytes);
     }
 
@@ -414,8 +414,8 @@ impl<'a> Scanner<'a> {
         self.indexed = true;
         // A segment has one index. A file may name one over and over, and frames in it that lie over each other.
         let length = entries.get(KEY_INDEX_LENGTH).and_then(|text| text.parse().ok()).unwrap_or(0);
-        self.look_at(self.file.len().min(length));
-        self.look_at(FOUND_BYTES * (self.found.frames.len() + self.found.records.len()));
+        self.spend(self.file.len().min(length));
+        self.spend(FOUND_BYTES * (self.found.frames.len() + self.found.records.len()));
         if self.budget == 0 {
             return self.damage(0..0, INDEXED_OVER_AND_OVER.to_owned());
         }
@@ -424,7 +424,7 @@ impl<'a> Scanner<'a> {
         for message in index.frames.iter().filter_map(|(_, _, offset, length)| place_of(*offset, *length)) {
             let possible = message.end <= self.file.len() && message.len() <= MAX_MESSAGE;
             if possible && !known.contains(&message.start) {
-                self.look_at(message.len().max(FOUND_BYTES));
+                self.spend(message.len().max(FOUND_BYTES));
                 if self.budget == 0 {
                     return self.damage(0..0, INDEXED_OVER_AND_OVER.to_owned());
                 }

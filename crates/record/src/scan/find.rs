@@ -15,8 +15,9 @@ const CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4 + 8;
 /// Bytes that are searched at once.
 const PIECE: usize = 64 << 10;
 
-/// Bytes that may be examined in a pass over a file: a multiple of its length, and a floor for short ones. A file that is not
-/// crafted to cost time needs four times its length: chunk, pixels, and both once more where something is damaged.
+/// Bytes that may be examined in a pass over a file: a multiple of its length, and a floor for short ones. A file that
+/// is not crafted to cost time needs four times its length: chunk, pixels, and both once more where something is
+/// damaged.
 pub fn budget(length: usize) -> usize {
     const LOOKS: usize = 8;
     const FLOOR: usize = 16 << 20;
@@ -51,10 +52,10 @@ impl Found {
 
 /// The next place from `from` on where something of ours is without doubt: a chunk whose three lengths agree, a
 /// metadata record with one of our names, a message of JSON or with an envelope whose checksum is right, or a frame
-/// both of whose checksums are right, whatever is around it. Bytes of candidates are taken off `budget`; what exceeds it is
-/// no candidate.
+/// both of whose checksums are right, whatever is around it. Bytes of candidates are taken off `budget`; what exceeds
+/// it is no candidate.
 pub fn find(file: &SegmentFile, from: usize, budget: &mut usize) -> Option<Found> {
-    // Candidates are looked at through a piece of their own.
+    // Candidates are read through a piece of their own.
     let (mut passed, mut candidates) = (Pieces::new(file), Pieces::new(file));
     let mut at = from;
     while at < file.len() {

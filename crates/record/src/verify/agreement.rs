@@ -103,8 +103,8 @@ fn pair((first, counted_first): Counted<'_>, (other, counted): Counted<'_>, note
     }
 }
 
-/// A node that was aborted and never received the HSU's count ends at the last trigger that it knew of, and its verdict states
-/// that; the other one has more. Then it is known what is missing, and why: loss, not a contradiction.
+/// A node that was aborted and never received the HSU's count ends at the last trigger that it knew of, and its verdict
+/// states that; the other one has more. Then it is known what is missing, and why: loss, not a contradiction.
 fn ended_unknowing(first: Counted<'_>, other: Counted<'_>) -> Option<Notes> {
     let ((short, counted), (longer, counted_longer)) =
         if first.1.triggers < other.1.triggers { (first, other) } else { (other, first) };
@@ -129,12 +129,12 @@ pub fn note_absent(recordings: &[&RecordingReader], unreadable: &[&str], notes: 
             || unreadable.contains(&node)
     };
     let events = recordings.iter().flat_map(|recording| &recording.events);
-    let not_asked: BTreeSet<&str> =
+    let left_out: BTreeSet<&str> =
         events.filter(|event| event.kind == NOT_ASKED).map(|event| event.message.as_str()).collect();
     for node in rig.nodes().iter().filter(|node| !here(node.as_str())) {
         notes.node = node.to_string();
-        let message = if not_asked.contains(node.as_str()) {
-            "was not asked to take part: the session is of a part of the rig"
+        let message = if left_out.contains(node.as_str()) {
+            "does not take part: the session is of a part of the rig, as requested"
         } else {
             "its recording is not here; agreement was not checked"
         };
@@ -142,9 +142,9 @@ pub fn note_absent(recordings: &[&RecordingReader], unreadable: &[&str], notes: 
     }
 }
 
-/// Compares the nodes of sessions whose recordings are at several paths, as when each PC's part was copied to a place of
-/// its own. Only paths with one recording each are taken together, and only those of one session (by id or by name) and of
-/// different nodes: everything else is another session, or a copy.
+/// Compares the nodes of sessions whose recordings are at several paths, as when each PC's part was copied to a place
+/// of its own. Only paths with one recording each are taken together, and only those of one session (by id or by name)
+/// and of different nodes: everything else is another session, or a copy.
 pub fn compare(paths: &[PathBuf]) -> (Vec<Comparison>, Vec<Finding>) {
     let mut groups: Vec<Vec<RecordingReader>> = Vec::new();
     // What cannot be opened has been reported where the path was verified by itself.

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What gap records and events of a recording state about a camera's irregularities.
 //!
-//! They are necessary and never sufficient: an irregularity of ids or stamps that nothing names is a contradiction, and one
-//! that is named must be borne out by the other sources.
+//! They are necessary and never sufficient: an irregularity of ids or stamps that nothing names is a contradiction, and
+//! one that is named must be borne out by the other sources.
 
 use crate::base::ids::CameraId;
 use crate::layout::{GapCause, NodeEvent};
@@ -40,7 +40,8 @@ const STAMP_WRONG: &str = "stamp_wrong";
 const BACK: &str = "camera_back";
 
 impl<'a> Explained<'a> {
-    /// By the recording's outcomes and events; `camera` is its place in the header. A single segment is not the `whole`.
+    /// By the recording's outcomes and events; `camera` is its place in the header. A single segment is not the
+    /// `whole`.
     pub fn of(recording: &'a RecordingReader, camera: usize, id: &CameraId, whole: bool) -> Option<Self> {
         let mut events: BTreeMap<&str, BTreeSet<Option<u64>>> = BTreeMap::new();
         for event in recording.events.iter().filter(|event| event.camera.as_ref() == Some(id)) {

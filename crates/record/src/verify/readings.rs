@@ -14,9 +14,10 @@ const EPOCHS: usize = 1000;
 const IN_FORCE: usize = 16;
 /// Time before its first and behind its last reading for which an epoch is in force, ns.
 const BETWEEN_READINGS_NS: i128 = 5_000_000_000;
-/// Readings on each side of a time that are looked at: more than are made at once.
+/// Readings on each side of a time that are used for it: more than are made at once.
 const AROUND: usize = 20;
-/// Reciprocal of the largest relative difference of two clocks' rates: crystals differ by 100 ppm, a slewed host by 500.
+/// Reciprocal of the largest relative difference of two clocks' rates: crystals differ by 100 ppm, a slewed host by
+/// 500.
 const RATE: i128 = 2_000;
 /// Difference allowed between readings that follow each other, beyond their round trips, ns.
 const SLACK_NS: i128 = 100_000;
@@ -152,7 +153,7 @@ impl Readings {
         readings
     }
 
-    /// What a device's time stands for, by each epoch that may have been in force at a time of the host.
+    /// The host's times of a device's time, one by each epoch that may have been in force at a time of the host.
     pub fn host_times(&self, device_ns: i128, host_ns: i128) -> impl Iterator<Item = HostTime> + '_ {
         let alone = self.epochs.len() == 1;
         let in_force = self.epochs.iter().filter(move |epoch| alone || epoch.covers(host_ns));

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which triggers the frames of the warm-up are of, found again from the raw samples.
 //!
-//! Before some triggers of the warm-up the HSU pauses for longer (`hsu-protocol.md`). So only at the right place is the way
-//! from trigger to frame the same for all of them. How long that way is, is not assumed, nor that ids count every trigger.
+//! Before some triggers of the warm-up the HSU pauses for longer (`hsu-protocol.md`). So only at the right place is the
+//! way from trigger to frame the same for all of them. How long that way is, is not assumed, nor that ids count every
+//! trigger.
 
 use super::table::Table;
 use super::witnesses::{Frame, Seen, skipped};
@@ -15,8 +16,8 @@ const TRIGGERS: usize = 256;
 const ENOUGH: usize = 5;
 /// Frames by which the best place must lead the second best.
 const MARGIN: usize = 2;
-/// The same by arrivals alone, where all frames but one must fit, three quarters of them as their ids count: a busy host
-/// has rhythms of its own.
+/// The same by arrivals alone, where all frames but one must fit, three quarters of them as their ids count: a busy
+/// host has rhythms of its own.
 const MARGIN_OF_ARRIVALS: usize = 3;
 /// Frames from the first one on that places are tried with: the first may be of no trigger.
 const TRIED: usize = 3;
@@ -32,8 +33,8 @@ struct Fit {
     fitting: usize,
 }
 
-/// The frames of a camera's warm-up at their triggers; empty where the rhythm is not found. By arrivals alone it may be found
-/// in the first of them, as a node finds it while they arrive, even if the host stands still later.
+/// The frames of a camera's warm-up at their triggers; empty where the rhythm is not found. By arrivals alone it may be
+/// found in the first of them, as a node finds it while they arrive, even if the host stands still later.
 pub fn warm_up(seen: &[Seen], table: &Table) -> Vec<Frame> {
     let seen = &seen[..seen.len().min(FRAMES)];
     let stamped = seen.iter().filter(|seen| seen.camera_ns != 0).count() * 2 > seen.len();

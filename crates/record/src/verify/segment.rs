@@ -118,8 +118,8 @@ fn check_segment(
     times
 }
 
-/// Checksums of the chunks and of the data section, each byte passed over once: a frame's pixels have just proven theirs,
-/// and checksums of parts combine.
+/// Checksums of the chunks and of the data section, each byte passed over once: a frame's pixels have just proven
+/// theirs, and checksums of parts combine.
 struct Sums<'a> {
     file: &'a SegmentFile,
     number: Option<u32>,
@@ -254,8 +254,8 @@ fn note_end(
             notes.add(Severity::Corrupt, number, None, None, "closed without an end of its data section");
         }
         End::Cut { at } => {
-            // A segment that the disk refused stays open, and the accounting went on in a later one, which names it. Any
-            // other one was cut, or has a length field that points beyond its end.
+            // A segment that the disk refused stays open, and the accounting went on in a later one, which names it.
+            // Any other one was cut, or has a length field that points beyond its end.
             let excused = recording.events.iter().any(|event| event.gives_up(segment.number));
             let is_last = recording.segments.last().is_some_and(|last| last.number == segment.number);
             let severity = if excused && !is_last { Severity::Loss } else { Severity::Corrupt };

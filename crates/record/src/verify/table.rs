@@ -28,8 +28,8 @@ const HOLE_MAX: i64 = 1 << 20;
 
 /// When triggers were fired, HSU clock.
 ///
-/// Verification makes one for each recording and drops it at the end. It promises times as they were reported, or between two
-/// that were; nothing is extrapolated.
+/// Verification makes one for each recording and drops it at the end. It promises times as they were reported, or
+/// between two that were; nothing is extrapolated.
 pub struct Table {
     /// By number; those of the warm-up are negative.
     rows: BTreeMap<i64, Row>,
@@ -111,7 +111,8 @@ impl Table {
         Some(row.hsu_ns + (next.hsu_ns - row.hsu_ns) * i128::from(number - before) / i128::from(all))
     }
 
-    /// The host's time of a time of the HSU: by its readings, or where there are none, by the quickest report around it.
+    /// The host's time of a time of the HSU: by its readings, or where there are none, by the quickest report around
+    /// it.
     pub fn host_time(&self, hsu_ns: i128, number: i64) -> Option<HostTime> {
         if let Some(found) = self.readings.longest().and_then(|epoch| epoch.host_time(hsu_ns)) {
             return Some(found);
@@ -135,8 +136,8 @@ impl Table {
         }
     }
 
-    /// Checks the table against its own rhythm and flags, and against the arrival of its reports. A single segment is not the
-    /// `whole`: it does not have the beginning.
+    /// Checks the table against its own rhythm and flags, and against the arrival of its reports. A single segment is
+    /// not the `whole`: it does not have the beginning.
     pub fn check(&self, recording: &RecordingReader, whole: bool, notes: &mut Notes) {
         self.check_steps(notes);
         self.check_flags(recording, notes);
@@ -252,8 +253,8 @@ impl Table {
         note_readings(&self.readings, None, "the HSU's clock", notes);
     }
 
-    /// Compares what two nodes recorded of the same HSU: a trigger has one time, and one set of flags. Returns how many triggers both
-    /// tables have, and in how many the rows differ.
+    /// Compares what two nodes recorded of the same HSU: a trigger has one time, and one set of flags. Returns how many
+    /// triggers both tables have, and in how many the rows differ.
     pub fn compare(first: &RecordingReader, other: &RecordingReader, notes: &mut Notes) -> (u64, u64) {
         let both =
             other.triggers.iter().filter_map(|(index, row)| Some((index.0, row, first.triggers.get(index)?)));

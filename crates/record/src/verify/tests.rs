@@ -183,7 +183,8 @@ fn two_nodes_hear_one_unit() {
     let b = node_b(&honest);
     let report = verified(&[&honest, &b]);
     assert_eq!(report.worst, None, "{}", text(&report));
-    // A session of its own, half an hour later; the same session, of which everything stands a trigger later; another warm-up.
+    // A session of its own, half an hour later; the same session, of which everything stands a trigger later; another
+    // warm-up.
     let other = node_b(&Take::honest(Happens::Nothing, 8));
     let mut later = b.clone();
     forge::half_an_hour(&mut later);
@@ -270,7 +271,8 @@ fn exposures_that_rest_on_no_ptp_are_named() {
     assert_eq!(verdict.status, Status::Unconfirmed);
 }
 
-/// Imported images have no clocks: what is said of them rests on their files' names, and no header makes images of frames.
+/// Imported images have no clocks: what is said of them rests on their files' names, and no header makes images of
+/// frames.
 #[test]
 fn imports_rest_on_names() {
     let mut take = Take::honest(Happens::Nothing, 5);

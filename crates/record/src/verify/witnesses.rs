@@ -209,8 +209,8 @@ impl Camera<'_> {
         found.filter(|_| camera_ns != 0).map(|found| found.ns - fired)
     }
 
-    /// How far the middle of frames' stamps lies from the usual delay beyond what the readings leave open, ns; `None` where
-    /// the readings are no evidence.
+    /// How far the middle of frames' stamps lies from the usual delay beyond what the readings leave open, ns; `None`
+    /// where the readings are no evidence.
     fn off_by_readings(&self, frames: &[Frame]) -> Option<i128> {
         let usual = self.delay_ns?;
         let off = |frame: &Frame| {
@@ -265,8 +265,8 @@ impl Camera<'_> {
         });
     }
 
-    /// The beginning: a stamp lies between trigger and arrival, and the rhythm of the warm-up shows which trigger it is. Where
-    /// it is not found, it is assumed that a camera stamps within a period.
+    /// The beginning: a stamp lies between trigger and arrival, and the rhythm of the warm-up shows which trigger it
+    /// is. Where it is not found, it is assumed that a camera stamps within a period.
     fn check_place(&self, reference: &[Frame], found: bool, range: (u64, u64), notes: &mut Notes) {
         let period = self.table.period_ns;
         let arrived =

@@ -167,7 +167,7 @@ impl ClosingSegment {
 /// A store, and the space set aside for it.
 pub(super) type Prepared = (Box<dyn Store>, u64);
 
-/// The next segment's file, made ready on a thread of its own under a name that no reader looks at.
+/// The next segment's file, prepared on a thread of its own under a name that no reader takes for a segment.
 pub(super) struct NextSegment {
     number: u32,
     path: PathBuf,

@@ -14,17 +14,17 @@ const ACCOUNTING_BYTES: u64 = 16 << 20;
 /// Disk space that is set aside for a segment at most.
 const MOST_AHEAD: u64 = 4 << 30;
 /// Checks of the free space while as many bytes as the reserve are written, at least.
-const LOOKS: u64 = 4;
+const CHECKS: u64 = 4;
 
 impl Recording {
     /// Whether enough was written since the last check that a small reserve may be used up before the next sync.
-    pub(super) fn is_look_due(&self) -> bool {
-        self.options.reserve_bytes > 0 && self.unlooked >= self.options.reserve_bytes / LOOKS
+    pub(super) fn is_check_due(&self) -> bool {
+        self.options.reserve_bytes > 0 && self.unchecked >= self.options.reserve_bytes / CHECKS
     }
 
     /// Stops the recording of frames when the reserve is reached.
-    pub(super) fn look_at_space(&mut self) -> Result<(), RecordError> {
-        self.unlooked = 0;
+    pub(super) fn check_free_space(&mut self) -> Result<(), RecordError> {
+        self.unchecked = 0;
         // What is set aside for us counts as free.
         let free = free_bytes(&self.dir).unwrap_or(u64::MAX).saturating_add(self.set_aside());
         if free < self.options.reserve_bytes && self.stopped.is_none() {

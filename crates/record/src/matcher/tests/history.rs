@@ -49,8 +49,8 @@ pub struct Traits {
     /// The host takes packets off the socket so far apart, ns; 0: at once.
     pub batch_ns: u64,
     pub faults: bool,
-    /// The host is busy: most frames are taken up at once, a third within a period, some later. Faults keep a distance of
-    /// twelve triggers then, as those of the laboratory's plans do.
+    /// The host is busy: most frames are taken up at once, a third within a period, some later. Faults keep a distance
+    /// of twelve triggers then, as those of the laboratory's plans do.
     pub busy: bool,
     /// For spells of some dozen frames the host takes each up when it gets to it, within two and a half periods.
     pub spells: bool,
@@ -230,8 +230,8 @@ impl Camera {
             }
             // Its clock is set: anyhow, or by whole periods.
             7 => {
-                // Where arrivals do not tell one trigger from the next, or hardly, a clock that is set by a whole period and a camera that
-                // ignores a trigger agree with each other.
+                // Where arrivals do not tell one trigger from the next, or hardly, a clock that is set by a whole
+                // period and a camera that ignores a trigger agree with each other.
                 let mute = self.traits.batch_ns * 4 > self.period_ns * 3 || self.traits.busy;
                 let by = match self.random.below(3) {
                     0 if !mute => i128::from(self.period_ns) * (1 + self.random.below(3) as i128),

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Histories in which a source slips by whole periods: the counter, the timestamps, the camera's clock, the HSU's times.
+//! Histories in which a source slips by whole periods: the counter, the timestamps, the camera's clock, the HSU's
+//! times.
 
 use super::history::{Arrives, HOST_MINUS_HSU_NS, History, Random, Report, Traits};
 use crate::base::ids::BlockId;
@@ -55,8 +56,8 @@ pub struct Plan {
 const STALL_MAX_NS: u64 = 300_000_000;
 
 impl Plan {
-    /// How many periods counter and clock are off, both alike: then they agree with each other, and only the arrivals can
-    /// tell. A camera that ignored triggers is behind by its counter.
+    /// How many periods counter and clock are off, both alike: then they agree with each other, and only the arrivals
+    /// can tell. A camera that ignored triggers is behind by its counter.
     pub fn alike(&self) -> i64 {
         let from = self.slips.first().map_or(0, |slip| slip.from);
         let behind = match self.before {
