@@ -5,10 +5,8 @@
 //! the order of its gaps alone.
 
 use super::layout::GapCause;
-use super::reader::{Outcome, RecordingReader};
 use super::verdict::CameraVerdict;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 
 /// Lines of advice. They are text, not figures: another version may word them in another way, and so all are equal.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
@@ -29,32 +27,10 @@ impl Advice {
         self.0.is_empty()
     }
 
-    /// Of a recording, by the outcomes in its files.
-    pub(crate) fn of_recording(recording: &RecordingReader) -> Self {
-        let rhythm = |outcomes: &BTreeMap<u64, Outcome>| {
-            let mut rhythm = Rhythm::default();
-            for (trigger, outcome) in outcomes {
-                match outcome {
-                    Outcome::Frame { .. } => rhythm.frame(*trigger),
-                    Outcome::Gap(cause) => rhythm.gap(*trigger, *cause),
-                }
-            }
-            rhythm
-        };
-        let counted = recording.counted();
-        Self::of(recording.outcomes.iter().map(rhythm).collect::<Vec<_>>().iter().zip(&counted))
-    }
-
     /// Of cameras, by their rhythm and their counts.
     pub(crate) fn of<'a>(cameras: impl Iterator<Item = (&'a Rhythm, &'a CameraVerdict)>) -> Self {
         Self(cameras.filter_map(|(rhythm, counts)| rhythm.advice(counts)).collect())
     }
-}
-
-/// Enters into a recording's verdict what its outcomes show.
-pub(super) fn advise(recording: &mut RecordingReader) {
-    let advice = Advice::of_recording(recording);
-    recording.verdict.iter_mut().for_each(|verdict| verdict.advice.clone_from(&advice));
 }
 
 /// Distances that are counted one by one; longer ones together.

@@ -2,7 +2,7 @@
 //! Which session a record is of: a mark in every one, so that a block of the disk which still holds an earlier session
 //! is never taken for this one, whole as it may be.
 
-use super::layout::{KEY_SESSION, RecordingHeader};
+use super::layout::{Entries, KEY_SESSION, RecordingHeader};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use std::fmt;
@@ -52,7 +52,7 @@ impl Label {
     }
 
     /// The mark in the entries of a metadata record.
-    pub fn of_entries(entries: &super::scan::Entries) -> Self {
+    pub fn of_entries(entries: &Entries) -> Self {
         Self { session: entries.get(KEY_SESSION).and_then(|text| parse(text)), number: None }
     }
 

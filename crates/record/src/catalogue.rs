@@ -3,12 +3,12 @@
 //!
 //! Of a recording only the header of its first segment and the summary of its last are read.
 
+use super::files::{RecordingFiles, find, node_dir, unfinished};
 use super::layout::{KEY_JSON, VERDICT_METADATA};
 use super::metadata::read_header;
 use super::remark::Remark;
 use super::scan::metadata_by_index;
 use super::segment_file::SegmentFile;
-use super::session::{RecordingFiles, find, node_dir, unfinished};
 use super::verdict::Verdict;
 use crate::base::ids::NodeId;
 use serde::{Deserialize, Serialize};

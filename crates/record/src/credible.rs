@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a recording may claim: numbers that its bytes cannot hold are named, and cost nothing.
 
-use super::layout::{MAX_TRIGGERS, RecordingHeader};
+use super::layout::{Entries, MAX_TRIGGERS, RecordingHeader};
 use super::reader::{RecordingReader, SegmentReader};
-use super::scan::Entries;
 use crate::base::ids::TriggerIndex;
 
 /// Triggers that are credible for as many bytes: each of them left a frame or a gap record, or its records in a segment

@@ -65,6 +65,9 @@ pub const MAX_CAMERAS: usize = 64;
 /// A camera's name has at most this many bytes; it is part of every frame's message.
 pub const MAX_CAMERA_NAME: usize = 64;
 
+/// The entries of a metadata record: keys and texts.
+pub type Entries = BTreeMap<String, String>;
+
 /// Topic of a camera's frames.
 pub fn image_topic(camera: &CameraId) -> String {
     format!("/camera/{camera}/image")

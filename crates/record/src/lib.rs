@@ -17,6 +17,7 @@ pub mod describe;
 mod direct_io;
 mod disk_thread;
 pub mod envelope;
+mod files;
 mod frame_check;
 /// Linux: real-time threads, locked memory, frame memory, idle processes.
 pub mod host;
@@ -52,6 +53,7 @@ pub use action_counts::{ACTION_COMMANDS, ActionCounts};
 pub use advice::Advice;
 pub use direct_io::{free_bytes, survive_file_limit};
 pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
+pub use files::{ReadError, node_dir};
 pub use input_edge::InputEdge;
 pub use layout::{
     ACTION_UNIT, ACTIONS_AT_ONCE, CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS,
@@ -59,9 +61,9 @@ pub use layout::{
 };
 pub use noted::{Noted, SETTING_CHANGED, UNCONFIRMED};
 pub use partial::{copy_frames, is_segment};
-pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};
+pub use reader::{GapRun, RecordedFrame, RecordingReader, SegmentReader};
 pub use segment_file::BadRange;
-pub use session::{SessionReader, Unreadable, node_dir, open_each};
+pub use session::{SessionReader, Unreadable, open_each};
 pub use simultaneous::{NOT_SIMULTANEOUS, NotSimultaneous, TriggerRow, TriggerRows};
 pub use statistics::{DiskAccess, DiskProgress, WriteStatistics};
 pub use time_code::{HeardTimeCode, TimeCodeAt, TimeCodeLine};

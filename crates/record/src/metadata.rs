@@ -2,10 +2,10 @@
 //! The metadata records of a segment: their checksum, the header that they state, and the index that they lead to.
 
 use super::layout::{
-    FORMAT, HEADER_METADATA, KEY_CRC, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RIG,
-    KEY_SEGMENT, RecordingHeader, SEGMENT_METADATA, SegmentIndex, VERSION,
+    Entries, FORMAT, HEADER_METADATA, KEY_CRC, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON,
+    KEY_RIG, KEY_SEGMENT, RecordingHeader, SEGMENT_METADATA, SegmentIndex, VERSION,
 };
-use super::scan::{End, Entries, Event, MAX_MESSAGE, Walker};
+use super::scan::{End, Event, MAX_MESSAGE, Walker};
 use super::segment_file::SegmentFile;
 use crate::base::ids::printable;
 use std::ops::Range;

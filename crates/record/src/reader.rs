@@ -1,20 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads recordings: opens segments, knows the outcome of every trigger, checks every frame on access.
 
+use super::advice::{Advice, Rhythm};
 use super::belonging::{Belonging, Label};
 use super::envelope::{FrameMeta, parse_envelope_of};
+use super::files::{ReadError, RecordingFiles};
 use super::frame_check::{check_pixels, identify, read_front};
 use super::layout::{
-    CameraHeader, ClockSample, GapCause, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER,
-    KEY_JSON, KEY_RECORDS, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA, STATISTICS_METADATA,
-    TriggerRecord, VERDICT_METADATA, VERSION,
+    CameraHeader, ClockSample, Entries, GapCause, GapRecord, HEADER_METADATA, KEY_END_TRIGGER,
+    KEY_FIRST_TRIGGER, KEY_JSON, KEY_RECORDS, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA,
+    STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA, VERSION,
 };
 use super::metadata::{
     StatedHeader, foreign_reason, is_sound, of_most, parse_header, place_of, read_header, stated_index,
 };
-use super::scan::{End, Entries, Event, Walker, metadata_by_index, open_segment};
+use super::scan::{End, Event, Walker, metadata_by_index, open_segment};
 use super::segment_file::{BadRange, SegmentFile};
-use super::session::RecordingFiles;
 use super::statistics::WriteStatistics;
 use super::topic::{Topic, Topics};
 use super::verdict::{CameraVerdict, TriggerSet, Verdict};
@@ -26,17 +27,6 @@ use std::path::PathBuf;
 
 /// Problems of one recording beyond this many are dropped: the first ones show what is wrong.
 const MAX_PROBLEMS: usize = 1000;
-
-/// Why a recording could not be opened at all.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ReadError {
-    /// There is no recording at the path: a mistake in the command.
-    #[error("{0}")]
-    Absent(String),
-    /// There is one that cannot be read, or that is no recording of this program.
-    #[error("{0}")]
-    Unreadable(String),
-}
 
 /// Something wrong with the records of a segment.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -226,7 +216,8 @@ impl RecordingReader {
             }
         }
         recording.leave_out_the_incredible();
-        super::advice::advise(&mut recording);
+        let advice = recording.advice();
+        recording.verdict.iter_mut().for_each(|verdict| verdict.advice.clone_from(&advice));
         Ok(recording)
     }
 
@@ -510,6 +501,22 @@ impl RecordingReader {
         check_pixels(&data, &meta)?;
         let image = Plane::from_vec(meta.width as usize, meta.height as usize, data);
         Ok(RecordedFrame { meta, image: image.ok_or("pixels do not fill the frame")? })
+    }
+
+    /// What the order of its outcomes shows, and what to do about it.
+    pub(crate) fn advice(&self) -> Advice {
+        let rhythm = |outcomes: &BTreeMap<u64, Outcome>| {
+            let mut rhythm = Rhythm::default();
+            for (trigger, outcome) in outcomes {
+                match outcome {
+                    Outcome::Frame { .. } => rhythm.frame(*trigger),
+                    Outcome::Gap(cause) => rhythm.gap(*trigger, *cause),
+                }
+            }
+            rhythm
+        };
+        let rhythms: Vec<Rhythm> = self.outcomes.iter().map(rhythm).collect();
+        Advice::of(rhythms.iter().zip(&self.counted()))
     }
 
     /// Outcomes of each camera, counted from the records.

@@ -11,13 +11,14 @@ mod salvage;
 
 use super::credible::most_triggers;
 use super::direct_io::{rename_new, sync_directory};
+use super::files::{RecordingFiles, find, node_dir};
 use super::layout::GapCause;
 use super::reader::{Extent, RecordingReader};
-use super::session::{RecordingFiles, find, node_dir};
 use super::verdict::Verdict;
 use super::writer::RecordError;
 use crate::base::ids::{CameraId, NodeId, TriggerIndex};
 use merge::{Salvage, salvage};
+pub use salvage::Damage;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -55,27 +56,6 @@ pub enum RecoverError {
     /// The output could not be written.
     #[error("{path}: {reason}; nothing was left there, the source is as it was")]
     Output { path: PathBuf, reason: String },
-}
-
-/// A place in a segment that is not as it was written.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Damage {
-    pub segment: u32,
-    /// First byte that is not as it was written.
-    pub from: u64,
-    /// Where usable records go on; 0 when the segment as such is concerned.
-    pub to: u64,
-    /// What was expected and found.
-    pub reason: String,
-}
-
-impl fmt::Display for Damage {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.to {
-            0 => write!(f, "segment {}: {}", self.segment, self.reason),
-            to => write!(f, "segment {} bytes {} to {to}: {}", self.segment, self.from, self.reason),
-        }
-    }
 }
 
 /// Gap records that recovery had to add: a run of triggers of one camera.
@@ -169,7 +149,7 @@ pub fn recover(
     for files in &files {
         match salvage(files, &advance) {
             Ok(one) => salvaged.push(one),
-            Err(error) => unusable.push(error),
+            Err(reason) => unusable.push(RecoverError::Unusable { path: files.path.clone(), reason }),
         }
     }
     if salvaged.is_empty() {

@@ -8,6 +8,7 @@
 mod compressed;
 mod find;
 
+use super::layout::Entries;
 use super::segment_file::{Pieces, SegmentFile};
 use mcap::MAGIC;
 use mcap::records::op;
@@ -30,9 +31,6 @@ const PREAMBLE: usize = 9;
 const MAX_CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4 + 64 + 8;
 /// A message's record without its payload: preamble, channel, sequence, two times.
 pub const MESSAGE_HEADER: usize = PREAMBLE + 2 + 4 + 8 + 8;
-
-/// The entries of a metadata record: keys and texts.
-pub type Entries = BTreeMap<String, String>;
 
 /// Something found in the file, in file order.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -4,8 +4,8 @@
 //! Cheap enough for a start: of a finished recording only the last segment's summary is read; of an unfinished
 //! one the records are walked, which touches a page for each frame, and nothing is hashed.
 
+use super::files::{RecordingFiles, find, unfinished};
 use super::reader::{Extent, Outcome, RecordingReader};
-use super::session::{RecordingFiles, find, unfinished};
 use crate::base::ids::{NodeId, SessionName};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;

@@ -8,6 +8,8 @@
 mod accounting;
 mod agreement;
 mod explained;
+mod findings;
+mod frame;
 mod header;
 mod readings;
 mod rhythm;
@@ -17,72 +19,16 @@ mod simultaneous;
 mod table;
 mod witnesses;
 
-use super::reader::{ReadError, RecordingReader};
-use super::session::{node_of_dir, open_each};
+use super::files::{ReadError, node_of_dir};
+use super::reader::RecordingReader;
+use super::session::open_each;
 use super::verdict::Verdict;
-use crate::base::ids::CameraId;
 pub use agreement::{Comparison, compare};
+use findings::Notes;
+pub use findings::{Finding, Severity};
 use serde::Serialize;
-use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-
-/// Findings beyond this many are counted, not listed.
-const MAX_FINDINGS: usize = 10_000;
-
-/// How bad a finding is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Severity {
-    /// Information; nothing is wrong.
-    Note,
-    /// Nothing contradicts it, but nothing confirms it: it rests on one source, or frames were not taken as agreed.
-    Unconfirmed,
-    /// Data is missing, and the recording states what and why.
-    Loss,
-    /// Data is damaged, contradicts itself, or is missing without a record of it.
-    Corrupt,
-}
-
-/// One thing that was found.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Finding {
-    pub severity: Severity,
-    pub node: String,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub segment: Option<u32>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub camera: Option<CameraId>,
-    /// First and last trigger concerned.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub triggers: Option<(u64, u64)>,
-    /// What was expected and found.
-    pub message: String,
-}
-
-impl fmt::Display for Finding {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let word = match self.severity {
-            Severity::Note => "note",
-            Severity::Unconfirmed => "unconfirmed",
-            Severity::Loss => "loss",
-            Severity::Corrupt => "corrupt",
-        };
-        write!(f, "{word}: node {}", self.node)?;
-        if let Some(segment) = self.segment {
-            write!(f, " segment {segment}")?;
-        }
-        if let Some(camera) = &self.camera {
-            write!(f, " camera {camera}")?;
-        }
-        match self.triggers {
-            Some((first, last)) if first == last => write!(f, " trigger {first}")?,
-            Some((first, last)) => write!(f, " triggers {first} to {last}")?,
-            None => {}
-        }
-        write!(f, ": {}", self.message)
-    }
-}
 
 /// One node's recording as it is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -113,56 +59,10 @@ pub struct Report {
     pub findings_omitted: usize,
 }
 
-/// Findings of one recording in the making.
-struct Notes {
-    node: String,
-    findings: Vec<Finding>,
-    omitted: usize,
-    worst: Option<Severity>,
-}
-
 impl Report {
     /// Whether something is not confirmed: which trigger frames are of, or that they were taken as agreed.
     pub fn is_unconfirmed(&self) -> bool {
         self.findings.iter().any(|finding| finding.severity == Severity::Unconfirmed)
-    }
-}
-
-impl Notes {
-    fn new(node: &str) -> Self {
-        Self { node: node.to_owned(), findings: Vec::new(), omitted: 0, worst: None }
-    }
-
-    fn add(
-        &mut self,
-        severity: Severity,
-        segment: Option<u32>,
-        camera: Option<&CameraId>,
-        triggers: Option<(u64, u64)>,
-        message: impl Into<String>,
-    ) {
-        if severity > Severity::Note {
-            self.worst = self.worst.max(Some(severity));
-        }
-        if self.findings.len() >= MAX_FINDINGS {
-            self.omitted += 1;
-            return;
-        }
-        let (node, camera, message) = (self.node.clone(), camera.cloned(), message.into());
-        self.findings.push(Finding { severity, node, segment, camera, triggers, message });
-    }
-
-    fn leave_out_unconfirmed(&mut self) {
-        self.findings.retain(|finding| finding.severity != Severity::Unconfirmed);
-        let found = self.findings.iter().map(|finding| finding.severity);
-        self.worst = found.filter(|severity| *severity > Severity::Note).max();
-    }
-
-    fn absorb(&mut self, other: Self) {
-        self.worst = self.worst.max(other.worst);
-        let room = MAX_FINDINGS.saturating_sub(self.findings.len());
-        self.omitted += other.omitted + other.findings.len().saturating_sub(room);
-        self.findings.extend(other.findings.into_iter().take(room));
     }
 }
 

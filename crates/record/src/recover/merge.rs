@@ -2,11 +2,12 @@
 //! One recording's segments together: the header that is used, one outcome for each camera and trigger, and how
 //! the session ended.
 
-use super::salvage::{Labelled, SegmentScan, SmallRecord, scan};
-use super::{Damage, RecoverError, header};
+use super::header;
+use super::salvage::{Damage, Labelled, SegmentScan, SmallRecord, scan};
 use crate::base::ids::TriggerIndex;
 use crate::belonging::{Belonging, SessionMark};
 use crate::credible::most_triggers;
+use crate::files::RecordingFiles;
 use crate::layout::{
     ClockSample, GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, VERSION, segment_name,
 };
@@ -14,7 +15,6 @@ use crate::metadata::foreign_reason;
 use crate::reader::Outcome;
 use crate::scan::open_segment;
 use crate::segment_file::SegmentFile;
-use crate::session::RecordingFiles;
 use crate::statistics::WriteStatistics;
 use crate::verdict::{TriggerSet, Verdict};
 use rayon::prelude::*;
@@ -61,11 +61,10 @@ pub struct Salvage {
     pub records_lost: u64,
 }
 
-/// Opens and scans all segments. One that cannot be opened costs what is in it.
-pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result<Salvage, RecoverError> {
-    let unusable = |reason: String| RecoverError::Unusable { path: files.path.clone(), reason };
+/// Opens and scans all segments. One that cannot be opened costs what is in it; an error where nothing can be used.
+pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result<Salvage, String> {
     if let Some(reason) = &files.unlisted {
-        return Err(unusable(reason.clone()));
+        return Err(reason.clone());
     }
     let (mut opened, mut closed_to_us) = (Vec::new(), Vec::new());
     for (number, path) in &files.segments {
@@ -78,7 +77,7 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
         }
     }
     if let Some((_, reason)) = closed_to_us.first().filter(|_| closed_to_us.len() == opened.len()) {
-        return Err(unusable(reason.clone()));
+        return Err(reason.clone());
     }
     let numbered: Vec<(u32, &Option<SegmentFile>)> =
         files.segments.iter().zip(&opened).map(|((number, _), file)| (*number, file)).collect();
@@ -90,7 +89,7 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
     let rebuilt = stated.is_none();
     let (header, proven) = stated
         .or_else(|| header::rebuilt(&files.path, &scans).map(|header| (header, false)))
-        .ok_or_else(|| unusable("no segment has a readable header or a whole frame".to_owned()))?;
+        .ok_or("no segment has a readable header or a whole frame")?;
     let (header, belonging) = belonging(header, proven, &scans);
     let single = files.path.is_file();
     let mut salvage = Salvage {

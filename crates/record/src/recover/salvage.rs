@@ -5,23 +5,23 @@
 //! Nothing is used that is not under a checksum. So a frame's camera and trigger are those of its envelope, and
 //! small records are known by their fields: the container around them may be damaged.
 
-use super::Damage;
 use crate::belonging::{Label, SessionMark};
 use crate::envelope::{Envelope, FRONT, parse_envelope, parse_envelope_of, pixels_crc};
 use crate::layout::{
-    ClockSample, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_LENGTH, KEY_JSON,
-    KEY_RECORDS, NodeEvent, SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
+    ClockSample, Entries, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_LENGTH,
+    KEY_JSON, KEY_RECORDS, NodeEvent, SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
 };
 use crate::metadata::{StatedHeader, is_sound, parse_header, parse_index, place_of};
 use crate::scan::{
-    End, Entries, Event, Found, MAX_MESSAGE, MESSAGE_HEADER, Walker, budget, find, is_json, metadata_by_index,
+    End, Event, Found, MAX_MESSAGE, MESSAGE_HEADER, Walker, budget, find, is_json, metadata_by_index,
 };
 use crate::segment_file::SegmentFile;
 use crate::statistics::WriteStatistics;
 use crate::verdict::Verdict;
 use crc32fast::Hasher;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
+use std::fmt;
 use std::ops::Range;
 
 /// Cost of examining one found record again, in bytes of the budget.
@@ -31,6 +31,27 @@ const INDEXED_OVER_AND_OVER: &str =
     "its indexes name the same bytes again and again: they are not followed any further";
 /// Damaged places beyond this many are counted as the last one.
 const MAX_DAMAGE: usize = 1000;
+
+/// A place in a segment that is not as it was written.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Damage {
+    pub segment: u32,
+    /// First byte that is not as it was written.
+    pub from: u64,
+    /// Where usable records go on; 0 when the segment as such is concerned.
+    pub to: u64,
+    /// What was expected and found.
+    pub reason: String,
+}
+
+impl fmt::Display for Damage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.to {
+            0 => write!(f, "segment {}: {}", self.segment, self.reason),
+            to => write!(f, "segment {} bytes {} to {to}: {}", self.segment, self.from, self.reason),
+        }
+    }
+}
 
 /// A record with the mark of its session and its number.
 pub struct Labelled<T> {

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The accounting: outcomes counted again, and the trigger table.
 
-use super::{Notes, Severity};
-use crate::advice::Advice;
+use super::findings::{Notes, Severity};
 use crate::layout::{GapCause, MAX_TRIGGERS};
 use crate::noted::{Noted, REFUSED, SETTING_CHANGED, UNCONFIRMED};
 use crate::reader::{Outcome, RecordingReader};
@@ -27,7 +26,7 @@ pub fn recount(recording: &RecordingReader) -> Verdict {
         changed: noted.changed,
         not_simultaneous: noted.not_simultaneous.lines(),
         aborted: stored.and_then(|verdict| verdict.aborted.clone()),
-        advice: Advice::of_recording(recording),
+        advice: recording.advice(),
     };
     verdict.status = verdict.judge();
     verdict

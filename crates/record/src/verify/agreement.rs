@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The recordings of the nodes of a session must agree: one session, one HSU, one trigger table, and no camera twice.
 
+use super::accounting;
+use super::findings::{Finding, Notes, Severity};
 use super::table::Table;
-use super::{Finding, Notes, Severity, accounting};
 use crate::layout::NOT_ASKED;
 use crate::reader::RecordingReader;
 use crate::session::{open_each, parse_rig};

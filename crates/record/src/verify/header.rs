@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The header against the rig file that it repeats: which cameras are this node's.
 
-use super::{Notes, Severity};
+use super::findings::{Notes, Severity};
 use crate::reader::RecordingReader;
 use crate::recover::is_of_damaged;
 use crate::session::parse_rig;

@@ -5,8 +5,8 @@
 //! way from trigger to frame the same for all of them. How long that way is, is not assumed, nor that ids count every
 //! trigger.
 
+use super::frame::{Frame, Seen, skipped};
 use super::table::Table;
-use super::witnesses::{Frame, Seen, skipped};
 
 /// Frames of the warm-up that are considered, from the first of the stream on.
 const FRAMES: usize = 64;

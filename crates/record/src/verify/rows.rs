@@ -1,17 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Triggers in a row: so that a fault which lasts is one finding.
 
-use super::table::ms;
-use super::witnesses::Frame;
-use super::{Notes, Severity};
+use super::findings::{Notes, Severity};
+use super::frame::{Frame, range_of};
 use crate::base::ids::CameraId;
-
-/// The recorded triggers of frames.
-pub fn range_of(frames: &[Frame]) -> Option<(u64, u64)> {
-    let mut recorded = frames.iter().filter_map(|frame| u64::try_from(frame.number).ok());
-    let first = recorded.next()?;
-    Some((first, recorded.next_back().unwrap_or(first)))
-}
 
 /// Triggers in a row with the same fault, each with the ns of the first.
 #[derive(Default)]
@@ -78,4 +70,9 @@ impl Late {
         let ends = self.runs.iter().filter(long);
         ends.filter_map(|(first, last, _)| range_of(&[*first, *last])).collect()
     }
+}
+
+/// Nanoseconds as milliseconds, for messages.
+pub fn ms(ns: i128) -> f64 {
+    ns as f64 / 1e6
 }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bytes of the segments: every checksum, every frame, and the frames' places in time.
 
-use super::witnesses::{Seen, Times};
-use super::{Notes, Severity};
+use super::findings::{Notes, Severity};
+use super::frame::{Seen, Times};
 use crate::base::ids::TriggerIndex;
 use crate::frame_check::check_frame;
 use crate::layout::{GapRecord, SegmentIndex, TriggerRecord};

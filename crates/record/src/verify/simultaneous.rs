@@ -2,7 +2,7 @@
 //! Whether exposures that were scheduled by PTP rest on a clock that PTP kept: found out from the recorded statuses and
 //! times, independent of what the node concluded.
 
-use super::{Notes, Severity};
+use super::findings::{Notes, Severity};
 use crate::base::ids::CameraId;
 use crate::layout::{ACTION_UNIT, ACTIONS_AT_ONCE, PTP_STATUS, ptp_keeps};
 use crate::reader::RecordingReader;

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The trigger table as a witness of its own: its rhythm, the header's rate, the HSU's clock and the reports' arrival.
 
+use super::findings::{Notes, Severity};
 use super::header::severity;
 use super::readings::{HostTime, Readings};
-use super::rows::Rows;
-use super::{Notes, Severity};
+use super::rows::{Rows, ms};
 use crate::base::ids::TriggerIndex;
 use crate::layout::{TriggerRecord, WarmUp};
 use crate::reader::RecordingReader;
@@ -374,11 +374,6 @@ fn stated_period(recording: &RecordingReader, notes: &mut Notes) -> Option<i128>
 fn pairs(rows: &BTreeMap<i64, Row>) -> impl Iterator<Item = ((i64, Row), (i64, Row))> + '_ {
     let rows = || rows.iter().map(|(number, row)| (*number, *row));
     rows().zip(rows().skip(1))
-}
-
-/// Nanoseconds as milliseconds, for messages.
-pub fn ms(ns: i128) -> f64 {
-    ns as f64 / 1e6
 }
 
 /// The number of a trigger of the session, as [`Table`] counts them.

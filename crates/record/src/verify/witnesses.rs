@@ -6,39 +6,17 @@
 //! arrivals refute what would have come too early, and decide between the two where they are in time.
 
 use super::explained::Explained;
+use super::findings::{Notes, Severity};
+use super::frame::{Frame, Seen, Times, range_of, skipped};
 use super::header::severity;
 use super::readings::Readings;
 use super::rhythm;
-use super::rows::{Late, Rows, Wrong, range_of};
-use super::table::{Table, ms, note_readings, number};
-use super::{Notes, Severity};
+use super::rows::{Late, Rows, Wrong, ms};
+use super::table::{Table, note_readings, number};
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::layout::WarmUp;
-use crate::matcher::block_ids::BlockIds;
 use crate::reader::RecordingReader;
 use std::collections::BTreeMap;
-
-/// What a frame itself shows of its instant.
-#[derive(Debug, Clone, Copy)]
-pub struct Seen {
-    pub block: u64,
-    /// Camera clock, ns; 0 without a timestamp.
-    pub camera_ns: u64,
-    /// Arrival of its first packet, host clock, ns.
-    pub host_ns: u64,
-}
-
-/// What the frames of one camera show, by trigger.
-pub type Times = BTreeMap<u64, Seen>;
-
-/// A frame with its trigger's number (negative in the warm-up), and when that trigger was fired, HSU clock, ns.
-#[derive(Debug, Clone, Copy)]
-pub struct Frame {
-    pub number: i64,
-    /// When the trigger was fired, HSU clock, ns.
-    pub hsu_ns: i128,
-    pub seen: Seen,
-}
 
 /// Frames of a part, at least; the last part of a row has fewer than twice as many.
 const PART: usize = 64;
@@ -46,8 +24,6 @@ const PART: usize = 64;
 const PASSING: usize = 8;
 /// Reciprocal of the largest relative difference between the rates of a camera's clock and the HSU's.
 const RATE: i128 = 1_600;
-/// Steps after which 16-bit ids repeat: they skip 0.
-const CYCLE: i64 = 65_535;
 /// Time for which a host can stand still, ns: frames that are all late for longer are of other triggers.
 const LATE_NS: i128 = 2_000_000_000;
 
@@ -548,19 +524,6 @@ impl Camera<'_> {
             notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
         }
     }
-}
-
-/// How many more ids than triggers lie between two frames.
-pub fn skipped(before: &Frame, frame: &Frame) -> i64 {
-    let (from, to) = (before.seen.block, frame.seen.block);
-    let triggers = frame.number.saturating_sub(before.number);
-    let narrow = CYCLE as u64;
-    if from > narrow || to > narrow {
-        return BlockIds::default().between(from, to).saturating_sub(triggers);
-    }
-    // 16-bit ids wrap, once or several times, where many triggers lie between.
-    let more = (to as i64 - from as i64 - triggers % CYCLE).rem_euclid(CYCLE);
-    if more > CYCLE / 2 { more - CYCLE } else { more }
 }
 
 fn middle(mut all: Vec<i128>) -> Option<i128> {

@@ -5,7 +5,7 @@ use super::take::{CAMERAS, Frames, Happens, PERIOD, Take};
 use crate::base::ids::TriggerIndex;
 use crate::layout::{GapCause, TriggerRecord, WarmUp};
 use crate::verify::Severity;
-use crate::verify::witnesses::Seen;
+use crate::verify::frame::Seen;
 use hsu_firmware_proto::TriggerFlags;
 use std::ops::Range;
 

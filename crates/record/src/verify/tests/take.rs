@@ -5,7 +5,7 @@ use crate::base::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
 use crate::layout::{
     CameraHeader, ClockSample, GapCause, HsuIdentity, NodeEvent, RecordingHeader, TriggerRecord, WarmUp,
 };
-use crate::verify::witnesses::Seen;
+use crate::verify::frame::Seen;
 use crate::{ENVELOPE_CAPACITY, FrameMeta, Recording, SessionEnd, WriterOptions, node_dir, write_envelope};
 use hsu_firmware_proto::{PAUSE_BEFORE, TriggerFlags};
 use std::collections::BTreeMap;
