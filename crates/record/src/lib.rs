@@ -52,7 +52,7 @@ mod writer;
 pub use action_counts::{ACTION_COMMANDS, ActionCounts};
 pub use advice::Advice;
 pub use direct_io::{free_bytes, survive_file_limit};
-pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
+pub use envelope::{ENVELOPE_CAPACITY, Envelope, FrameMeta, parse_envelope, write_envelope};
 pub use files::{ReadError, node_dir};
 pub use input_edge::InputEdge;
 pub use layout::{
@@ -62,12 +62,11 @@ pub use layout::{
 pub use noted::{Noted, SETTING_CHANGED, UNCONFIRMED};
 pub use partial::{copy_frames, is_segment};
 pub use reader::{GapRun, RecordedFrame, RecordingReader, SegmentReader};
-pub use segment_file::BadRange;
 pub use session::{SessionReader, Unreadable, open_each};
-pub use simultaneous::{NOT_SIMULTANEOUS, NotSimultaneous, TriggerRow, TriggerRows};
-pub use statistics::{DiskAccess, DiskProgress, WriteStatistics};
-pub use time_code::{HeardTimeCode, TimeCodeAt, TimeCodeLine};
-pub use time_scale::{ScaleFound, TimeScale};
+pub use simultaneous::{NOT_SIMULTANEOUS, TriggerRow, TriggerRows};
+pub use statistics::{DiskProgress, WriteStatistics};
+pub use time_code::{HeardTimeCode, TimeCodeLine};
+pub use time_scale::ScaleFound;
 pub use unfinished::{Interrupted, interrupted};
 pub use verdict::{CameraTally, CameraVerdict, SessionEnd, Status, Verdict};
 pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

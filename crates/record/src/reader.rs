@@ -170,14 +170,14 @@ impl RecordingReader {
         }
         let mut segments = Vec::new();
         for (number, path) in &files.segments {
-            let (file, end) = match open_segment(path) {
+            let opened = open_segment(path);
+            let stated = match &opened {
+                Ok(file) => read_header(file),
+                Err(reason) => Err(format!("{}: {reason}", path.display())),
+            };
+            let (file, end) = match opened {
                 Ok(file) => (Some(file), End::Cut { at: 0 }),
                 Err(reason) => (None, End::Damaged { at: 0, reason }),
-            };
-            let stated = match (&file, &end) {
-                (None, End::Damaged { reason, .. }) => Err(format!("{}: {reason}", path.display())),
-                (None, _) => Err(String::new()),
-                (Some(file), _) => read_header(file),
             };
             let segment = SegmentReader {
                 number: *number,

@@ -74,7 +74,7 @@ pub struct SessionReader {
     /// Where the frames of each of `cameras` are.
     places: Vec<Place>,
     triggers: Range<u64>,
-    times: Option<TriggerTimes>,
+    times: TriggerTimes,
 }
 
 /// Where a camera's frames are.
@@ -234,11 +234,11 @@ impl FrameSource for SessionReader {
     }
 
     fn trigger_time_ns(&self, trigger: TriggerIndex) -> Option<u64> {
-        self.times.as_ref()?.at(&self.recordings, trigger)
+        self.times.at(&self.recordings, trigger)
     }
 
     fn time_base(&self) -> Option<String> {
-        self.times.as_ref().map(|times| times.name(&self.recordings))
+        Some(self.times.name(&self.recordings))
     }
 
     fn lost(&self) -> &[LostPart] {

@@ -5,7 +5,9 @@
 //! one the records are walked, which touches a page for each frame, and nothing is hashed.
 
 use super::files::{RecordingFiles, find, unfinished};
+use super::metadata::read_header;
 use super::reader::{Extent, Outcome, RecordingReader};
+use super::segment_file::SegmentFile;
 use crate::base::ids::{NodeId, SessionName};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -74,12 +76,8 @@ pub fn interrupted(sessions_dir: &Path) -> Vec<Interrupted> {
 
 /// The session's id and the node.
 fn identity(files: &RecordingFiles) -> Option<(String, NodeId)> {
-    let first = RecordingFiles {
-        path: files.path.clone(),
-        segments: files.segments.first().cloned().into_iter().collect(),
-        unlisted: files.unlisted.clone(),
-    };
-    let header = RecordingReader::open(&first, Extent::Outcomes).ok()?.header;
+    let (_, first) = files.segments.first()?;
+    let header = read_header(&SegmentFile::open(first).ok()?).ok()?.header;
     Some((header.session_id, header.node))
 }
 

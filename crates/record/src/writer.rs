@@ -93,23 +93,17 @@ impl Recording {
     /// Creates the directory `dir` with its first segment. The parent is created if needed.
     pub fn create(dir: &Path, header: RecordingHeader, options: WriterOptions) -> Result<Self, RecordError> {
         let bytes = header.expected_bytes().unwrap_or(0);
-        Self::create_for(dir, header, options, bytes, VERSION)
+        Self::create_for(dir, header, options, bytes, VERSION, Self::disk())
     }
 
-    /// As [`Self::create`], but for this many bytes, whatever the header expects, and in this version of the format: a
-    /// copy of records that do not prove their session must not prove it.
+    /// Opens segments as files, past the page cache.
+    pub(super) fn disk() -> OpenStore {
+        Arc::new(|path| Ok(Box::new(DirectFile::create(path)?)))
+    }
+
+    /// As [`Self::create`], but for this many bytes, whatever the header expects, in this version of the format (a copy of
+    /// records that do not prove their session must not prove it), and to these stores.
     pub(super) fn create_for(
-        dir: &Path,
-        header: RecordingHeader,
-        options: WriterOptions,
-        bytes: u64,
-        version: u32,
-    ) -> Result<Self, RecordError> {
-        let open = |path: &Path| -> io::Result<Box<dyn Store>> { Ok(Box::new(DirectFile::create(path)?)) };
-        Self::create_sized(dir, header, options, bytes, version, Arc::new(open))
-    }
-
-    fn create_sized(
         dir: &Path,
         header: RecordingHeader,
         options: WriterOptions,

@@ -140,11 +140,6 @@ impl Pool {
         drop(blocks);
     }
 
-    /// Blocks in the pool that no stream has.
-    pub fn idle(&self) -> usize {
-        open(&self.shelf).len()
-    }
-
     fn make(&self, sizes: Sizes, count: usize) -> io::Result<Vec<Block>> {
         let bytes = sizes.in_memory() * count;
         let region = Region::map(bytes).map_err(|error| {
@@ -340,6 +335,10 @@ mod tests {
         drop(block);
     }
 
+    fn idle(pool: &Pool) -> usize {
+        super::open(&pool.shelf).len()
+    }
+
     fn places(blocks: &[Block]) -> BTreeSet<usize> {
         blocks.iter().map(|block| block.pixels().as_ptr() as usize).collect()
     }
@@ -362,9 +361,9 @@ mod tests {
             // As the stream does when it ends.
             returns.try_iter().for_each(drop);
             drop(returns);
-            assert_eq!(pool.idle(), 4);
+            assert_eq!(idle(&pool), 4);
             drop(out);
-            assert_eq!(pool.idle(), 5);
+            assert_eq!(idle(&pool), 5);
         }
     }
 
@@ -380,9 +379,9 @@ mod tests {
             assert!(block.bytes().iter().all(|&byte| byte == i as u8 + 1));
         }
         drop(blocks);
-        assert_eq!(pool.idle(), 5);
+        assert_eq!(idle(&pool), 5);
         let other = pool.take(6000, 6000, 1).expect("memory");
-        assert_eq!((pool.idle(), other[0].pixels().len()), (0, 6000));
+        assert_eq!((idle(&pool), other[0].pixels().len()), (0, 6000));
         drop(pool);
         // The pool is gone: its blocks are freed where they are dropped.
         drop(other);

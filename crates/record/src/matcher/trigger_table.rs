@@ -75,11 +75,6 @@ impl TriggerTable {
         Self { period_ns, ..Self::default() }
     }
 
-    /// Notes a trigger's time of which it is not known whether the HSU flagged it as late.
-    pub fn insert(&mut self, number: i64, hsu_ns: u64) {
-        self.report(number, hsu_ns, true, true);
-    }
-
     /// Notes a reported time. `late`: the HSU flags it as late; `possible`: it did not arrive before that time. Reports
     /// may be repeated, and missing ones may come later. Numbers out of all bounds are ignored.
     pub fn report(&mut self, number: i64, hsu_ns: u64, late: bool, possible: bool) {
@@ -321,11 +316,6 @@ impl TriggerTable {
         self.rows.is_empty()
     }
 
-    /// Triggers up to the last whose report is missing.
-    pub fn missing(&self) -> usize {
-        self.rows.iter().filter(|row| !row.sound).count()
-    }
-
     /// The time of the latest trigger.
     pub fn latest_ns(&self) -> Option<u64> {
         self.rows.back().map(|row| row.hsu_ns)
@@ -430,6 +420,16 @@ impl Schedule<'_> {
 #[cfg(test)]
 mod tests {
     use super::TriggerTable;
+
+    impl TriggerTable {
+        pub(crate) fn insert(&mut self, number: i64, hsu_ns: u64) {
+            self.report(number, hsu_ns, true, true);
+        }
+
+        fn missing(&self) -> usize {
+            self.rows.iter().filter(|row| !row.sound).count()
+        }
+    }
 
     #[test]
     fn triggers_are_expected_up_to_now_and_no_further() {

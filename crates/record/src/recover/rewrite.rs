@@ -34,6 +34,7 @@ pub fn write(
         options,
         source.frame_bytes(),
         source.belonging.version,
+        Recording::disk(),
     )?;
     recording.state_statistics(source.statistics);
     let mut copy = Copy {

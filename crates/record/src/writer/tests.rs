@@ -58,7 +58,7 @@ impl Recording {
         open_store: OpenStore,
     ) -> Result<Self, RecordError> {
         let bytes = header.expected_bytes().unwrap_or(0);
-        Self::create_sized(dir, header, options, bytes, VERSION, open_store)
+        Self::create_for(dir, header, options, bytes, VERSION, open_store)
     }
 }
 
