@@ -9,7 +9,7 @@ mod compressed;
 mod find;
 
 use super::layout::Entries;
-use super::segment_file::{Pieces, SegmentFile};
+use super::segment_file::{BadRange, Pieces, SegmentFile};
 use mcap::MAGIC;
 use mcap::records::op;
 use std::collections::BTreeMap;
@@ -121,7 +121,7 @@ impl<'a> Walker<'a> {
             Err(_) => {}
             Ok(bytes) if bytes == MAGIC => {}
             Ok(bytes) if MAGIC.starts_with(bytes) => walker.end = Some(End::Cut { at: 0 }),
-            Ok(_) => walker.damaged(0, "expected the magic of an MCAP file"),
+            Ok(_) => walker.damaged(0, "expected the magic of an MCAP file").unwrap_or(()),
         }
         walker
     }
@@ -164,30 +164,33 @@ impl<'a> Walker<'a> {
         true
     }
 
-    fn damaged(&mut self, at: usize, reason: impl Into<String>) {
+    /// Ends the walk at damage.
+    fn damaged<T>(&mut self, at: usize, reason: impl Into<String>) -> Option<T> {
         self.end.get_or_insert(End::Damaged { at, reason: reason.into() });
+        None
     }
 
-    /// What is left after the last whole record: cut, or the zeros that a sync leaves behind.
-    fn stop_at_rest(&mut self) {
-        let at = self.position;
-        self.end.get_or_insert(End::Cut { at });
+    /// Ends the walk at bytes that cannot be read.
+    fn unreadable<T>(&mut self, at: usize, bad: &BadRange) -> Option<T> {
+        self.unreadable_to = Some(bad.to);
+        self.damaged(at, bad.to_string())
+    }
+
+    /// Ends the walk behind the last whole record: the rest is cut, or the zeros that a sync leaves behind.
+    fn stop_at_rest<T>(&mut self) -> Option<T> {
+        self.end.get_or_insert(End::Cut { at: self.position });
+        None
     }
 
     /// Opcode and length of the record that begins here; `None` where the walk ends.
     fn preamble(&mut self, start: usize) -> Option<(u8, u64)> {
         let limit = self.chunk_end.unwrap_or(usize::MAX).min(self.limit);
         if limit.saturating_sub(start) < PREAMBLE {
-            self.stop_at_rest();
-            return None;
+            return self.stop_at_rest();
         }
         match self.pieces.get(start..start + PREAMBLE) {
             Ok(bytes) => preamble(bytes),
-            Err(bad) => {
-                self.unreadable_to = Some(bad.to);
-                self.damaged(start, bad.to_string());
-                None
-            }
+            Err(bad) => self.unreadable(start, &bad),
         }
     }
 
@@ -201,22 +204,15 @@ impl<'a> Walker<'a> {
             let (opcode, length) = self.preamble(start)?;
             if opcode == 0 && self.limit == self.pieces.file().len() && self.pieces.file().is_zero_from(start)
             {
-                self.stop_at_rest();
-                break;
+                return self.stop_at_rest();
             }
             let body = start + PREAMBLE;
             let end = usize::try_from(length).ok().and_then(|length| body.checked_add(length));
             if opcode == op::CHUNK && self.chunk_end.is_none() {
-                match self.chunk(start, body, end) {
-                    Some(event) => return Some(event),
-                    None => break,
-                }
+                return self.chunk(start, body, end);
             }
             let inside = |end: &usize| *end <= self.limit && self.chunk_end.is_none_or(|c| *end <= c);
-            let Some(end) = end.filter(inside) else {
-                self.too_long(start, end);
-                break;
-            };
+            let Some(end) = end.filter(inside) else { return self.too_long(start, end) };
             self.position = end;
             if let Some(event) = self.record(opcode, start, body..end) {
                 return Some(event);
@@ -226,13 +222,11 @@ impl<'a> Walker<'a> {
     }
 
     /// A record that leaves its chunk is damage; one that leaves the file is a cut, or damage to its length.
-    fn too_long(&mut self, start: usize, end: Option<usize>) {
+    fn too_long(&mut self, start: usize, end: Option<usize>) -> Option<Event> {
         match (end, self.chunk_end) {
             (Some(end), Some(chunk_end)) if end > chunk_end => {
-                self.damaged(
-                    start,
-                    format!("a record reaches to byte {end}, but its chunk ends at {chunk_end}"),
-                );
+                let reason = format!("a record reaches to byte {end}, but its chunk ends at {chunk_end}");
+                self.damaged(start, reason)
             }
             (None, _) => self.damaged(start, "a record's length exceeds any file's"),
             _ => self.stop_at_rest(),
@@ -241,43 +235,32 @@ impl<'a> Walker<'a> {
 
     /// Enters a chunk. One that is cut is entered as well: the messages before the cut are whole.
     fn chunk(&mut self, start: usize, body: usize, end: Option<usize>) -> Option<Event> {
-        let Some(end) = end else {
-            self.damaged(start, "a chunk's length exceeds any file's");
-            return None;
-        };
+        let Some(end) = end else { return self.damaged(start, "a chunk's length exceeds any file's") };
         let there = end.min(self.limit);
         let header = match self.pieces.get(body..there.min(body + MAX_CHUNK_FIELDS)) {
             Ok(bytes) => bytes,
-            Err(bad) => {
-                self.unreadable_to = Some(bad.to);
-                self.damaged(start, bad.to_string());
-                return None;
-            }
+            Err(bad) => return self.unreadable(start, &bad),
         };
         let Some(ChunkHeader { uncompressed, crc, compression, compressed, length }) =
             ChunkHeader::of(header)
         else {
-            if end > self.limit {
-                self.stop_at_rest();
-            } else {
-                self.damaged(start, "a chunk without its header");
-            }
-            return None;
+            return match end > self.limit {
+                true => self.stop_at_rest(),
+                false => self.damaged(start, "a chunk without its header"),
+            };
         };
         if !compression.is_empty() {
             let reason = match is_compression(&compression) {
                 true => compressed_reason(&compression),
                 false => format!("a chunk compressed with {compression:?}; recordings are not compressed"),
             };
-            self.damaged(start, reason);
-            return None;
+            return self.damaged(start, reason);
         }
         let records = body + length..end;
         let length = (end - records.start) as u64;
         if uncompressed != length || compressed != length {
             let reason = format!("a chunk of {length} bytes states {uncompressed} and {compressed}");
-            self.damaged(start, reason);
-            return None;
+            return self.damaged(start, reason);
         }
         self.position = records.start;
         self.chunk_end = Some(end);
@@ -288,10 +271,7 @@ impl<'a> Walker<'a> {
         let known = match opcode {
             op::MESSAGE | op::METADATA | op::CHANNEL | op::DATA_END => true,
             op::FOOTER => self.chunk_end.is_none(),
-            op::MESSAGE_INDEX => {
-                self.message_index(start, &body);
-                return None;
-            }
+            op::MESSAGE_INDEX => return self.message_index(start, &body),
             op::HEADER | op::SCHEMA => return None,
             op::CHUNK_INDEX..=op::SUMMARY_OFFSET if self.chunk_end.is_none() => return None,
             // Private records and those of later versions of MCAP.
@@ -299,8 +279,7 @@ impl<'a> Walker<'a> {
             _ => false,
         };
         if !known {
-            self.damaged(start, format!("no record has opcode {opcode:#04x} here"));
-            return None;
+            return self.damaged(start, format!("no record has opcode {opcode:#04x} here"));
         }
         let needed = match opcode {
             op::MESSAGE if body.len() > MAX_MESSAGE => None,
@@ -317,35 +296,34 @@ impl<'a> Walker<'a> {
             Event::Footer { covered, .. } => covered.end <= self.limit && covered.start <= covered.end,
             _ => true,
         });
-        if event.is_none() {
-            self.damaged(start, format!("the record with opcode {opcode:#04x} is not well-formed"));
-        } else if opcode == op::FOOTER {
+        let Some(event) = event else {
+            return self.damaged(start, format!("the record with opcode {opcode:#04x} is not well-formed"));
+        };
+        if opcode == op::FOOTER {
             self.footer(start, body.end);
         }
-        event
+        Some(event)
     }
 
     /// It is passed over, but by its own length only where that agrees with the one inside: a wrong one would swallow
     /// the chunk behind it.
-    fn message_index(&mut self, start: usize, body: &Range<usize>) {
+    fn message_index(&mut self, start: usize, body: &Range<usize>) -> Option<Event> {
         const FIELDS: usize = 2 + 4;
-        let stated = match self.pieces.get(body.start..body.end.min(body.start + FIELDS)) {
-            Ok(bytes) => (|| {
-                let mut fields = Fields { bytes, position: 2 };
-                usize::try_from(fields.u32()?).ok()
-            })(),
-            Err(_) => return,
-        };
+        let bytes = self.pieces.get(body.start..body.end.min(body.start + FIELDS)).ok()?;
+        let stated = Fields { bytes, position: 2 }.u32().and_then(|entries| usize::try_from(entries).ok());
         if stated.and_then(|entries| entries.checked_add(FIELDS)) != Some(body.len()) {
-            self.damaged(start, "the lengths of a message index disagree");
+            return self.damaged(start, "the lengths of a message index disagree");
         }
+        None
     }
 
-    fn footer(&mut self, start: usize, end: usize) {
+    /// Ends the walk at the footer, as it should.
+    fn footer(&mut self, start: usize, end: usize) -> Option<Event> {
         let rest = end..self.limit.max(end);
         match self.pieces.get(rest.start..rest.end.min(end + MAGIC.len() + 1)) {
             Ok(bytes) if bytes == MAGIC => {
                 self.end.get_or_insert(End::Closed);
+                None
             }
             Ok(bytes) if MAGIC.starts_with(bytes) => self.stop_at_rest(),
             Ok(_) => self.damaged(start, "the footer is not followed by the closing magic"),
