@@ -16,8 +16,8 @@ missing, and the recording states which and why, or something is unconfirmed; 4:
 it, or contradictory. Unconfirmed: what rests on one source alone, a setting that changed, and exposures that were not
 at the time of the others.
 
-The trigger of each frame is determined again from the raw samples: block ids, timestamps by the recorded readings of the
-clocks, arrivals, and the HSU's trigger times. Two of them that are independent must agree.
+The trigger of each frame is determined again from the raw samples: block ids, timestamps by the recorded readings of
+the clocks, arrivals, and the HSU's trigger times. Two of them that are independent must agree.
 
 The nodes of a session are compared with each other: in one session's directory, or as a path each.
 
@@ -100,16 +100,16 @@ fn print(report: &Report) {
             "good: every checksum and every count is right, and two sources agree on each frame's trigger"
         }
         Some(Severity::Unconfirmed) => {
-            "unconfirmed: every checksum and every count is right, but not everything is confirmed: see the lines above \
-             that begin with this word"
+            "unconfirmed: every checksum and every count is right, but not everything is confirmed: see the lines \
+             above that begin with this word"
         }
         Some(Severity::Loss) if report.is_unconfirmed() => {
             "data loss; and not everything is confirmed: see the lines above that begin with `unconfirmed`"
         }
         Some(Severity::Loss) => "data loss, all of it accounted for",
         Some(Severity::Corrupt) => {
-            "CORRUPT: files are damaged or incomplete, or contradict each other, see above; run `fourdbody recover PATH --out DIR` to \
-             save what is whole"
+            "CORRUPT: files are damaged or incomplete, or contradict each other, see above; run `fourdbody recover \
+             PATH --out DIR` to save what is whole"
         }
     };
     println!("{}: {word}", one_line(report.path.display()));

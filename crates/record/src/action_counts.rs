@@ -12,12 +12,12 @@ pub const ACTION_COMMANDS: &str = "action_commands";
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct ActionCounts {
     pub sent: u64,
-    /// Those that the camera took in time.
+    /// Commands that the camera took in time.
     pub acknowledged: u64,
-    /// Those that it took after their time.
+    /// Commands that it took after their time.
     pub late: u64,
     pub refused: u64,
-    /// Those that it did not answer.
+    /// Commands that it did not answer.
     pub unanswered: u64,
     /// Triggers without a command: this host's network refused it, or the cameras' clock was not known.
     pub not_sent: u64,
@@ -29,7 +29,7 @@ impl ActionCounts {
         self.acknowledged == self.sent && self.not_sent == 0
     }
 
-    /// As an event counts them.
+    /// The counts in an event; `None` for other kinds.
     pub fn of(event: &NodeEvent) -> Option<Self> {
         let message = event.message.strip_suffix(" not sent").filter(|_| event.kind == ACTION_COMMANDS)?;
         let mut numbers = message.split([' ', ',']).filter_map(|word| word.parse().ok());

@@ -27,15 +27,15 @@ impl Advice {
         self.0.is_empty()
     }
 
-    /// Of cameras, by their rhythm and their counts.
+    /// The advice on cameras, by their rhythm and their counts.
     pub(crate) fn of<'a>(cameras: impl Iterator<Item = (&'a Rhythm, &'a CameraVerdict)>) -> Self {
         Self(cameras.filter_map(|(rhythm, counts)| rhythm.advice(counts)).collect())
     }
 }
 
-/// Distances that are counted one by one; longer ones together.
+/// Distances from 1 to below this number are counted one by one, longer ones together.
 const DISTANCES: usize = 9;
-/// Distances below which a rhythm may be chance.
+/// Distances that a rhythm needs: fewer may be regular by chance.
 const ENOUGH: u64 = 5;
 /// Triggers without a frame at the beginning beyond which a camera did not wake up late, but was absent.
 const LATEST: u64 = 1000;
@@ -48,7 +48,7 @@ struct Distances {
     count: u64,
     sum: u64,
     squares: u128,
-    /// By distance; at 0 those that are longer.
+    /// Counts by distance; at 0 those of longer ones.
     of: [u64; DISTANCES],
 }
 
@@ -103,7 +103,7 @@ impl Rhythm {
         }
     }
 
-    /// What the rhythm shows of these counts; `None` where it shows nothing.
+    /// The advice that rhythm and counts give; `None` where they give none.
     fn advice(&self, counts: &CameraVerdict) -> Option<String> {
         let of = |causes: &[GapCause]| -> u64 {
             causes.iter().filter_map(|cause| counts.gaps.get(cause)).fold(0, |sum, n| sum.saturating_add(*n))
@@ -119,9 +119,9 @@ impl Rhythm {
             };
             if let Some(evenly) = evenly {
                 return Some(format!(
-                    "{id} {evenly}: its exposure and readout are longer than the trigger period, or a trigger may not come \
-                     during readout (TriggerOverlap is off); shorten exposure_us or set overlap = true in the node file, or \
-                     lower trigger_rate_hz in the rig file"
+                    "{id} {evenly}: its exposure and readout are longer than the trigger period, or a trigger may not \
+                     come during readout (TriggerOverlap is off); shorten exposure_us or set overlap = true in the \
+                     node file, or lower trigger_rate_hz in the rig file"
                 ));
             }
         }
@@ -143,8 +143,8 @@ impl Rhythm {
             )
         } else {
             format!(
-                "{id} has no frame of {none} and those behind: it woke up late; raise warm_up_triggers in the rig file by at \
-                 least {first}"
+                "{id} has no frame of {none} and those behind: it woke up late; raise warm_up_triggers in the rig file \
+                 by at least {first}"
             )
         })
     }

@@ -15,7 +15,7 @@ const FIRST_VERSION: u32 = 2;
 pub struct SessionMark(pub u64);
 
 impl SessionMark {
-    /// Of a session's id; an empty one is not known, and marks nothing.
+    /// The mark of a session's id; none for an empty id, which is not known.
     pub fn of(session_id: &str) -> Option<Self> {
         let digest = Sha256::digest(session_id.as_bytes());
         let first = digest.first_chunk().filter(|_| !session_id.is_empty())?;
@@ -45,7 +45,7 @@ struct Fields<'a> {
 }
 
 impl Label {
-    /// Of a small record's JSON.
+    /// Reads the fields from a small record's JSON.
     pub fn of(json: &[u8]) -> Self {
         let Ok(fields) = serde_json::from_slice::<Fields<'_>>(json) else { return Self::default() };
         Self { session: fields.session.and_then(parse), number: fields.n }

@@ -23,7 +23,7 @@ const RESIDUAL_SAMPLES: usize = 60;
 /// Outcomes and settings of one camera.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CameraDescription {
-    /// As the header describes it: name (`id`), size, device, settings.
+    /// The camera in the recording's header: name (`id`), size, device, settings.
     #[serde(flatten)]
     pub header: CameraHeader,
     pub frames: u64,
@@ -54,7 +54,7 @@ pub struct EventKind {
 pub struct TimeCodeDescription {
     /// That of the first trigger that has one.
     pub first: Option<String>,
-    /// Of the last trigger that has one.
+    /// That of the last trigger that has one.
     pub last: Option<String>,
     pub triggers: u64,
     /// Rows of codes of which each follows the one before.
@@ -92,7 +92,7 @@ pub struct ClockDescription {
     pub skew_ppm: Option<f64>,
     /// Median distance of the last exchanges' midpoints from the fit, ns.
     pub residual_ns: Option<u64>,
-    /// What the exchanges leave open at the last one, half width, ns.
+    /// Uncertainty of the offset at the last exchange, half width, ns.
     pub uncertainty_ns: Option<u64>,
 }
 

@@ -21,7 +21,7 @@ pub(super) struct Run {
     pub pixels: usize,
     /// CRC-32 of all its pixels.
     pub crc: u32,
-    /// Where they are; `None` only until the window has been given the block.
+    /// The block that has them; `None` only until the window has been given it.
     pub block: Option<Block>,
 }
 
@@ -65,7 +65,7 @@ pub(super) struct Reply {
     pub memory: Option<(AlignedBuffer, Vec<Run>)>,
 }
 
-/// The two ends that the segment holds. The thread ends when they are dropped.
+/// The channels to the thread of a segment, which its window holds. The thread ends when they are dropped.
 pub(super) struct Disk {
     pub commands: Sender<Command>,
     pub replies: Receiver<Reply>,

@@ -23,7 +23,7 @@ pub struct InputEdge {
 const KIND: &str = "hsu_input";
 
 impl InputEdge {
-    /// As an event; `host_time_ns` is when the node received it.
+    /// The event that records it; `host_time_ns` is when the node received it.
     pub fn event(&self, host_time_ns: u64) -> NodeEvent {
         NodeEvent::of_json(KIND, host_time_ns, self)
     }

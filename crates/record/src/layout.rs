@@ -139,7 +139,7 @@ pub struct HsuIdentity {
     pub protocol: u32,
 }
 
-/// What makes a segment understandable alone.
+/// The header of every segment: it makes each understandable alone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecordingHeader {
     pub session: SessionName,
@@ -247,7 +247,7 @@ pub struct TriggerRecord {
     pub index: TriggerIndex,
     /// When it was emitted, HSU clock, ns.
     pub hsu_time_ns: u64,
-    /// As the HSU reports them; 0 is an ordinary trigger.
+    /// Flags as the HSU reports them; 0 is an ordinary trigger.
     pub flags: u32,
     /// When the report arrived, host clock, ns.
     pub host_time_ns: u64,
@@ -339,7 +339,7 @@ pub enum WarmUp {
 const WARM_UP: &str = "warm_up";
 
 impl WarmUp {
-    /// As an event; its message is JSON.
+    /// The event that records it; its message is JSON.
     pub fn event(&self, camera: Option<CameraId>, host_time_ns: u64) -> NodeEvent {
         NodeEvent { camera, ..NodeEvent::of_json(WARM_UP, host_time_ns, self) }
     }
@@ -366,7 +366,7 @@ pub struct SegmentIndex {
 pub type TriggerRow = (u64, u64, u32, u64);
 
 impl TriggerRecord {
-    /// As an index has it.
+    /// The row of the index for it.
     pub fn row(&self) -> TriggerRow {
         (self.index.0, self.hsu_time_ns, self.flags, self.host_time_ns)
     }
@@ -416,7 +416,7 @@ fn schema_of(fields: &str) -> serde_json::Value {
 }
 
 impl RecordingHeader {
-    /// What would make a recording impossible or ambiguous.
+    /// An error for a header that would make a recording impossible or ambiguous.
     pub(crate) fn check(&self) -> Result<(), String> {
         if self.cameras.is_empty() || self.cameras.len() > MAX_CAMERAS {
             return Err(format!("{} cameras, expected 1 to {MAX_CAMERAS}", self.cameras.len()));

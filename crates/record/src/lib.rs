@@ -23,7 +23,7 @@ mod frame_check;
 pub mod host;
 mod input_edge;
 pub mod layout;
-/// Which trigger a frame belongs to, by two witnesses.
+/// The trigger of each frame, by two independent sources.
 pub mod matcher;
 mod metadata;
 mod noted;

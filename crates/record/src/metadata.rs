@@ -54,7 +54,7 @@ pub(super) fn is_foreign(header: &RecordingHeader, proven: bool, own: &Recording
     differs && (proven || header.created_ns != own.created_ns)
 }
 
-/// What to call a segment of another recording.
+/// The message about a segment of another recording.
 pub(super) fn foreign_reason(header: &RecordingHeader) -> String {
     format!(
         "it belongs to session {} ({}) of node {}, not to this recording: it is left out",
@@ -116,7 +116,7 @@ pub(super) fn parse_header(entries: &Entries) -> Result<StatedHeader, String> {
     Ok(StatedHeader { header, number, version, proven: is_sound(entries) == Some(true) })
 }
 
-/// Where an index has a message: its offset and its length in the file.
+/// The place of a message in the file, from the offset and length in an index.
 pub(super) fn place_of(offset: u64, length: u64) -> Option<Range<usize>> {
     let (start, end) = (usize::try_from(offset).ok()?, usize::try_from(offset.checked_add(length)?).ok()?);
     Some(start..end)

@@ -21,11 +21,11 @@ use std::time::Instant;
 
 /// Chunks handed to the disk and not written yet, at most: one that is written, one that waits.
 pub(super) const QUEUE: usize = 2;
-/// Opcode, length and header of an uncompressed chunk.
+/// Bytes of an uncompressed chunk before its records: opcode, length, two times, size, checksum, compression, size.
 pub(super) const CHUNK_HEADER: usize = 9 + 8 + 8 + 8 + 4 + 4 + 8;
-/// The checksum of the records in it.
+/// Place of the records' checksum in those bytes.
 const CHUNK_CRC: Range<usize> = 33..37;
-/// Opcode, length and checksum of the record that ends the data section.
+/// Place of the checksum in the record that ends the data section.
 const DATA_END_CRC: Range<usize> = 9..13;
 
 /// How far the disk has come.

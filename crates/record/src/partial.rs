@@ -14,9 +14,9 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Fetched from both ends at first, bytes: the header, and most summaries.
+/// Bytes that are fetched from both ends at first: they have the header, and most summaries.
 const END: u64 = 1 << 20;
-/// A segment without an index is fetched whole, in pieces of this size, bytes.
+/// Bytes of a piece, in which a segment without an index is fetched whole.
 const PIECE: u64 = 16 << 20;
 
 /// Camera and trigger of a frame, and where its message is.

@@ -15,7 +15,7 @@ const I32: u64 = 5;
 /// Memory for a short message without allocation. What exceeds `N` bytes is dropped: the owner chooses `N` to suffice.
 pub type Fixed<const N: usize> = Cursor<[u8; N]>;
 
-/// What was written to fixed memory.
+/// The bytes that were written to fixed memory.
 pub fn written<const N: usize>(memory: &Fixed<N>) -> &[u8] {
     &memory.get_ref()[..memory.position() as usize]
 }

@@ -71,7 +71,7 @@ impl SegmentReader {
         self.file.as_ref().map_or(0, SegmentFile::len)
     }
 
-    /// What could not be read of it so far.
+    /// The bytes of it that could not be read so far.
     pub fn bad_ranges(&self) -> Vec<BadRange> {
         self.file.as_ref().map(SegmentFile::bad_ranges).unwrap_or_default()
     }
@@ -85,7 +85,7 @@ pub(super) enum Extent {
     Outcomes,
 }
 
-/// What a camera has at a trigger.
+/// The outcome of a trigger for a camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Outcome {
     /// A frame: place of the segment in the recording, and of the message in it.
@@ -121,7 +121,7 @@ pub struct RecordingReader {
     pub verdict: Option<Verdict>,
     /// How the disk kept up, if the recording was finished.
     pub statistics: Option<WriteStatistics>,
-    /// What was found wrong when opening.
+    /// Problems that were found when the recording was opened.
     pub problems: Vec<Problem>,
     /// Per camera of the header.
     pub(crate) outcomes: Vec<BTreeMap<u64, Outcome>>,
@@ -457,7 +457,7 @@ impl RecordingReader {
         })
     }
 
-    /// What a camera has at a trigger; of a frame what `read` makes of its message.
+    /// The outcome of a trigger for a camera; for a frame, what `read` returns for its message.
     fn outcome_at<T>(
         &self,
         camera: usize,
@@ -503,7 +503,7 @@ impl RecordingReader {
         Ok(RecordedFrame { meta, image: image.ok_or("pixels do not fill the frame")? })
     }
 
-    /// What the order of its outcomes shows, and what to do about it.
+    /// The advice that follows from the order of its outcomes.
     pub(crate) fn advice(&self) -> Advice {
         let rhythm = |outcomes: &BTreeMap<u64, Outcome>| {
             let mut rhythm = Rhythm::default();

@@ -71,7 +71,7 @@ pub struct AddedGaps {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct RecoveredRecording {
     pub node: NodeId,
-    /// What it was made of.
+    /// The recording or segment that it was made of.
     pub source: PathBuf,
     pub out: PathBuf,
     /// Whether the source had no verdict.
@@ -92,7 +92,7 @@ impl RecoveredRecording {
         !self.interrupted && self.lossless_until_interrupted()
     }
 
-    /// The same of what was written until it was interrupted, if it was.
+    /// The same, not counting that it was interrupted.
     pub fn lossless_until_interrupted(&self) -> bool {
         self.added.is_empty() && self.damage.is_empty() && self.records_lost == 0
     }
@@ -121,7 +121,7 @@ impl Recovery {
 struct SessionExtent {
     /// Triggers of every recording; `None` leaves each one's own.
     triggers: Option<u64>,
-    /// What the HSU counted, if `triggers` is given.
+    /// The HSU's count, if `triggers` is given.
     emitted: Option<u64>,
 }
 
@@ -224,7 +224,7 @@ fn publish(partial: &Path, out: &Path) -> io::Result<()> {
     sync_directory(out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new(".")))
 }
 
-/// Where the output is while it is incomplete: beside its place, hidden, of this process.
+/// Path of the output while it is incomplete: beside its place, hidden, with the number of this process.
 fn partial_path(out: &Path) -> PathBuf {
     let name = out.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     out.with_file_name(format!(".{name}.partial-{}", std::process::id()))
@@ -263,7 +263,7 @@ fn siblings(path: &Path) -> Vec<RecordingReader> {
     others.filter_map(|files| RecordingReader::open(files, Extent::Outcomes).ok()).collect()
 }
 
-/// What writing the result fails with.
+/// The result of writing a part of the copy.
 type WriteResult<T> = Result<T, RecordError>;
 
 /// Counts of added gap records, by cause.

@@ -51,7 +51,7 @@ fn file(session: &Path, node: &NodeId) -> PathBuf {
 }
 
 impl Remark {
-    /// What may be kept, or what is wrong with it.
+    /// Checks whether it may be stored.
     ///
     /// # Errors
     /// The note is too long, or is more than one line of printable text.
@@ -68,7 +68,7 @@ impl Remark {
         write_whole(&file(session, node), |file| file.write_all(&text))
     }
 
-    /// What was kept; `None` where there is nothing that can be read.
+    /// The stored remark; `None` where there is none that can be read.
     pub fn load(session: &Path, node: &NodeId) -> Option<Self> {
         let text = regular::read(&file(session, node), BYTES_MAX).ok()?;
         json::from_slice(&text).ok().filter(|remark: &Self| remark.check().is_ok())

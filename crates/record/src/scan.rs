@@ -23,10 +23,10 @@ pub use find::{Found, budget, find, is_json};
 const MAX_SMALL_RECORD: usize = 16 << 20;
 /// Messages larger than this are refused: it bounds what is read into memory at once. No camera has as many pixels.
 pub const MAX_MESSAGE: usize = 512 << 20;
-/// Metadata records of a segment, at most: ours has four. What a summary names beyond is no summary of ours.
+/// Most metadata records that a summary may name: a segment of this program has four.
 const MAX_METADATA: usize = 16;
 /// Bytes of a record before its body: opcode and length.
-const PREAMBLE: usize = 9;
+pub const PREAMBLE: usize = 9;
 /// A chunk's fields before its records: two times, size, checksum, the name of a compression, size.
 const MAX_CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4 + 64 + 8;
 /// A message's record without its payload: preamble, channel, sequence, two times.
@@ -59,14 +59,14 @@ pub enum Event {
     },
     /// The end of the data section: what follows repeats what came before.
     DataEnd {
-        /// Where the record begins, which is what the checksum covers.
+        /// Offset of the record; the checksum covers all before it.
         offset: usize,
         /// CRC-32 of everything before; 0 means none was computed.
         crc: u32,
     },
     /// The footer, which is the last record.
     Footer {
-        /// What its checksum covers: the summary, and the footer up to the checksum.
+        /// Bytes that its checksum covers: the summary, and the footer up to the checksum.
         covered: Range<usize>,
         /// CRC-32 of the summary; 0 means none was computed.
         crc: u32,
@@ -97,7 +97,7 @@ pub enum End {
 /// bytes whatever, and states in [`Self::end`] why it ended.
 pub struct Walker<'a> {
     pieces: Pieces<'a>,
-    /// Where the walk ends, at the latest.
+    /// Offset at which the walk ends at the latest.
     limit: usize,
     position: usize,
     /// End of the open chunk, which may lie beyond the file.
@@ -392,7 +392,7 @@ fn event(opcode: u8, bytes: &[u8], start: usize, body: &Range<usize>) -> Option<
     }
 }
 
-/// Where the summary of a closed segment begins, by its footer.
+/// Offset of the summary of a closed segment, by its footer.
 pub fn summary_start(file: &SegmentFile) -> Option<usize> {
     summary_of(&mut Pieces::new(file))
 }
@@ -409,7 +409,7 @@ fn summary_of(pieces: &mut Pieces<'_>) -> Option<usize> {
     usize::try_from(summary).ok().filter(|start| *start > 0)
 }
 
-/// Where the metadata records of a closed segment are, by its summary.
+/// Places of the metadata records of a closed segment, by its summary.
 pub fn metadata_places(file: &SegmentFile) -> Option<Vec<Range<u64>>> {
     let mut pieces = Pieces::new(file);
     let mut position = summary_of(&mut pieces)?;

@@ -12,6 +12,7 @@ use super::layout::{
 };
 use super::metadata::checksum;
 use super::open_chunk::{CHUNK_HEADER, Handle, Window, lock};
+use super::scan::{MESSAGE_HEADER, PREAMBLE};
 use super::statistics::WriteStatistics;
 use super::verdict::Verdict;
 use crate::base::ids::CameraId;
@@ -23,17 +24,13 @@ use std::collections::BTreeMap;
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-/// Opcode and length of a record.
-const PREAMBLE: usize = 9;
-/// A message without its payload: preamble, channel, sequence, two times.
-const MESSAGE_HEADER: usize = PREAMBLE + 2 + 4 + 8 + 8;
 /// Opcode of the records of zeros that move a message to where its pixels can be aligned. Opcodes from 0x80 on
 /// are private, and readers skip them.
 const FILLER: u8 = 0x80;
 /// Staging memory: headers, envelopes and tails of the frames of a chunk, and room for small records.
 const STAGING_BYTES: usize = 256 << 10;
 
-/// What the last segment has besides its own records.
+/// The contents of the last segment besides its own records.
 pub(super) struct Closing<'a> {
     pub verdict: &'a Verdict,
     /// Small records that the recording has.

@@ -21,11 +21,11 @@ const BLOCK: usize = 4096;
 const PATIENCE: usize = 64 * BLOCK;
 /// Bytes between the blocks that are tried behind [`PATIENCE`]: a large bad area takes seconds, not hours.
 const STRIDE: usize = 1 << 20;
-/// Places of a file that cannot be read, at most: behind the last one the file is given up.
+/// Most unreadable places of a file: behind the last one the file is given up.
 const MAX_PLACES: usize = 1000;
-/// Read at once where bytes are passed through.
+/// Bytes that are read at once where a range is passed through.
 const PIECE: usize = 1 << 20;
-/// Read at once behind a jump: the rest of a frame and the envelope of the next lie in two blocks.
+/// Bytes that are read at once behind a jump: the rest of a frame and the envelope of the next lie in two blocks.
 const FIRST_READ: usize = 2 * BLOCK;
 
 /// Bytes of a file that cannot be read.
@@ -72,7 +72,7 @@ impl SegmentFile {
         self.length
     }
 
-    /// What could not be read so far.
+    /// The bytes that could not be read so far.
     pub fn bad_ranges(&self) -> Vec<BadRange> {
         self.lock().clone()
     }
@@ -213,10 +213,10 @@ impl SegmentFile {
 #[derive(Debug)]
 pub struct Pieces<'a> {
     file: &'a SegmentFile,
-    /// What lies from `start` on.
+    /// Bytes of the file from `start` on.
     piece: Vec<u8>,
     start: usize,
-    /// What the next read asks for, as long as reads continue each other.
+    /// Bytes that the next read requests, as long as reads continue each other.
     ahead: usize,
 }
 

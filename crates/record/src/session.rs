@@ -62,7 +62,10 @@ fn open_extent(path: &Path, what: Extent) -> Result<(Vec<RecordingReader>, Vec<U
     Ok((readable, unreadable))
 }
 
-/// A session: the recordings of all its nodes.
+/// A session: the recordings of all its nodes, read as one source of frames.
+///
+/// Whoever reconstructs, exports or shows a session opens one, and shares it between threads. It promises a frame that
+/// passed all its checks, or the cause of a gap, for every camera and trigger. It never writes.
 pub struct SessionReader {
     recordings: Vec<RecordingReader>,
     /// Recordings that cannot be read, in the order of `lost`.
@@ -210,7 +213,8 @@ impl FrameSource for SessionReader {
         let ids = self.recordings.iter().map(|recording| &recording.header);
         if let Some(other) = ids.clone().find(|header| header.session_id != first.session_id) {
             return Err(format!(
-                "the recordings are of two sessions, {} ({}) on node {} and {} ({}) on node {}; keep those of one together",
+                "the recordings are of two sessions, {} ({}) on node {} and {} ({}) on node {}; keep those of one \
+                 together",
                 first.session, first.session_id, first.node, other.session, other.session_id, other.node
             ));
         }

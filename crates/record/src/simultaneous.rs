@@ -16,9 +16,9 @@ pub const NOT_SIMULTANEOUS: &str = "not_simultaneous";
 
 /// Rows that are kept of a camera and a reason; what comes behind them joins the last one.
 const ROWS: usize = 32;
-/// Rows that a line names.
+/// Rows that a line names; the triggers of the others are counted.
 const NAMED: usize = 8;
-/// Cameras and reasons that are kept.
+/// Pairs of camera and reason that are kept: it bounds what a recording's events can cost.
 const LINES: usize = 64;
 
 /// Triggers in a row; `count` is less than its length where others lie between them.
@@ -40,7 +40,7 @@ impl TriggerRow {
         Self::all(self.first, self.last).count
     }
 
-    /// What of it is not before `first`.
+    /// The part of it that is not before `first`.
     pub fn behind(self, first: u64) -> Option<Self> {
         let from = self.first.max(first);
         (from <= self.last).then(|| Self {
@@ -151,7 +151,7 @@ impl fmt::Display for TriggerRows {
     }
 }
 
-/// What a recording's events of this kind come to.
+/// All events of this kind of a recording, joined to rows.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct NotSimultaneous {
     rows: BTreeMap<(String, String), TriggerRows>,

@@ -16,7 +16,7 @@ use std::fmt;
 pub struct HeardTimeCode {
     /// Consecutive since the HSU was switched on.
     pub number: u64,
-    /// Which run of this recording it belongs to, from 0.
+    /// Number of its run in this recording, from 0.
     pub run: u64,
     /// The code that the line carried.
     #[serde(serialize_with = "write_code", deserialize_with = "read_code")]
@@ -31,7 +31,7 @@ pub struct HeardTimeCode {
 const KIND: &str = "time_code";
 
 impl HeardTimeCode {
-    /// As an event; `host_time_ns` is when the node received it.
+    /// The event that records it; `host_time_ns` is when the node received it.
     pub fn event(&self, host_time_ns: u64) -> NodeEvent {
         NodeEvent::of_json(KIND, host_time_ns, self)
     }
@@ -61,7 +61,7 @@ fn read_code<'de, D: Deserializer<'de>>(deserializer: D) -> Result<TimeCode, D::
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeCodeAt {
     pub code: TimeCode,
-    /// Of the frame, 0 to 1.
+    /// Share of the code's frame that had passed, 0 to 1.
     pub fraction: f64,
 }
 
@@ -86,7 +86,7 @@ impl TimeCodeLine {
         Self { heard: heard.map(|heard| (heard.hsu_time_ns, heard)).collect() }
     }
 
-    /// What was recorded, in order of time.
+    /// The recorded codes, in order of time.
     pub fn heard(&self) -> impl DoubleEndedIterator<Item = &HeardTimeCode> {
         self.heard.values()
     }

@@ -38,7 +38,7 @@ pub struct ScaleFound {
 }
 
 impl ScaleFound {
-    /// By the recorded readings of a camera's clock; `None` where there are none.
+    /// Finds the scale by the recorded readings of a camera's clock; `None` where there are none.
     pub fn of(camera: &CameraId, samples: &[ClockSample]) -> Option<Self> {
         let ahead = |sample: &ClockSample| {
             let host = (i128::from(sample.host_send_ns) + i128::from(sample.host_receive_ns)) / 2;

@@ -10,9 +10,9 @@ use super::reader::RecordingReader;
 use super::time_scale::host_scale;
 use crate::base::ids::TriggerIndex;
 
-/// Where the trigger table lies on a host's clock: the recording that has it, and host time minus HSU time of the report that
-/// arrived soonest, ns. `None` where no recording has a table, as of imported images: then times are nominal, from the
-/// creation of the first recording on.
+/// Where the trigger table lies on a host's clock: the recording that has it, and host time minus HSU time of the
+/// report that arrived soonest, ns. `None` where no recording has a table, as of imported images: then times are
+/// nominal, from the creation of the first recording on.
 #[derive(Debug)]
 pub(super) struct TriggerTimes(Option<(usize, i128)>);
 

@@ -27,7 +27,7 @@ pub enum Status {
 }
 
 impl Status {
-    /// As people and scripts read it.
+    /// The word that messages and JSON use.
     pub fn word(self) -> &'static str {
         match self {
             Self::Complete => "complete",
@@ -280,7 +280,7 @@ impl TriggerSet {
     }
 }
 
-/// Outcomes of one camera so far.
+/// Outcomes of one camera so far: at most one for each trigger.
 #[derive(Debug, Clone, Default)]
 pub struct CameraTally {
     seen: TriggerSet,

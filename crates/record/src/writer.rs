@@ -101,8 +101,8 @@ impl Recording {
         Arc::new(|path| Ok(Box::new(DirectFile::create(path)?)))
     }
 
-    /// As [`Self::create`], but for this many bytes, whatever the header expects, in this version of the format (a copy of
-    /// records that do not prove their session must not prove it), and to these stores.
+    /// As [`Self::create`], but for this many bytes, whatever the header expects, in this version of the format (a copy
+    /// of records that do not prove their session must not prove it), and to these stores.
     pub(super) fn create_for(
         dir: &Path,
         header: RecordingHeader,

@@ -22,9 +22,9 @@ const HUGE_PAGE: usize = 2 << 20;
 /// An anonymous mapping that one or several blocks share; it is unmapped when the last of them is dropped.
 #[derive(Debug)]
 struct Region {
-    /// Where the blocks begin: a page, or a huge page where there is room for one.
+    /// Address at which the blocks begin: a page, or a huge page where there is room for one.
     memory: NonNull<u8>,
-    /// Where the mapping begins, and its length.
+    /// Address at which the mapping begins, and its length.
     start: NonNull<u8>,
     length: usize,
 }
@@ -84,6 +84,9 @@ fn open(shelf: &Shelf) -> MutexGuard<'_, Vec<Block>> {
 }
 
 /// A node's frame blocks, in use and not. Clones share them.
+///
+/// The node makes one when it starts and keeps it until it ends: blocks are lent to streams, and come back to its shelf
+/// when they are dropped. So a session allocates nothing that an earlier one has left.
 #[derive(Debug, Clone)]
 pub struct Pool {
     shelf: Arc<Shelf>,
@@ -144,8 +147,8 @@ impl Pool {
         let bytes = sizes.in_memory() * count;
         let region = Region::map(bytes).map_err(|error| {
             let message = format!(
-                "the system has no {} MiB of memory for {count} frames ({error}); lower acquisition.buffers_per_camera, or raise the \
-                 limit on this process' memory",
+                "the system has no {} MiB of memory for {count} frames ({error}); lower \
+                 acquisition.buffers_per_camera, or raise the limit on this process' memory",
                 bytes >> 20
             );
             io::Error::new(io::ErrorKind::OutOfMemory, message)
@@ -156,7 +159,8 @@ impl Pool {
         {
             let limit = limit_text(soft_limit(libc::RLIMIT_MEMLOCK));
             let message = format!(
-                "frame memory is not locked ({error}): RLIMIT_MEMLOCK is {limit} bytes, needed {}; set LimitMEMLOCK, or lock_memory = false",
+                "frame memory is not locked ({error}): RLIMIT_MEMLOCK is {limit} bytes, needed {}; set LimitMEMLOCK, \
+                 or lock_memory = false",
                 self.needed
             );
             warn("memory_not_locked", message);
@@ -225,7 +229,7 @@ impl Block {
         block
     }
 
-    /// Where it goes when it is dropped.
+    /// Sets the channel that it goes to when it is dropped.
     pub fn set_home(&mut self, home: Sender<Block>) {
         self.home = Some(home);
     }
@@ -253,12 +257,12 @@ impl Block {
         &mut self.whole_mut()[..end]
     }
 
-    /// What a camera sends, of which the pixels are made.
+    /// The bytes that a camera sends, which are made to pixels in place.
     pub fn received(&self) -> &[u8] {
         &self.whole()[ROOM_BYTES..]
     }
 
-    /// What a camera sends, of which the pixels are made.
+    /// The bytes that a camera sends, which are made to pixels in place.
     pub fn received_mut(&mut self) -> &mut [u8] {
         &mut self.whole_mut()[ROOM_BYTES..]
     }
@@ -278,7 +282,7 @@ impl Block {
         &mut self.bytes_mut()[..ROOM_BYTES]
     }
 
-    /// Where the camera layer may write what it receives while it holds the block.
+    /// Address at which the camera layer may write what it receives while it holds the block.
     pub fn pixel_pointer(&mut self) -> *mut u8 {
         self.received_mut().as_mut_ptr()
     }

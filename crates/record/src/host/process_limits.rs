@@ -12,21 +12,22 @@ use std::path::Path;
 
 const MIB: u64 = 1 << 20;
 
-/// Of a camera: its receiver and its attendant, and the two threads of Aravis.
+/// Threads of a camera: its receiver, its attendant, and two of Aravis.
 const THREADS_PER_CAMERA: u64 = 4;
-/// Of a session: recorder, writer, disks, the link to the HSU, the API, previews, the live body.
+/// Threads of a session: recorder, writer, disks, the link to the HSU, the API, previews, the live body.
 const THREADS: u64 = 12;
-/// The stack of a thread.
+/// Address space of a thread's stack, bytes: the default of glibc.
 const STACK_BYTES: u64 = 8 * MIB;
-/// What the allocator sets aside for a thread of its own, at most eight a core; of that it writes to a small part.
+/// Address space of an arena of the allocator, bytes; it writes to a small part of it.
 const ARENA_BYTES: u64 = 64 * MIB;
+/// Arenas for each core, at most: the default of glibc.
 const ARENAS_PER_CORE: u64 = 8;
-/// What a thread holds beside its stack, about.
+/// Memory that a thread holds beside its stack, bytes, estimated.
 const HEAP_BYTES: u64 = 2 * MIB;
-/// Chunks on their way to the disk, packets of cameras, tables.
+/// Chunks on their way to the disk, packets of cameras and tables, bytes, estimated.
 const REST_BYTES: u64 = 256 * MIB;
 
-/// What a limit counts of this process.
+/// The sizes of this process that limits apply to, bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Counted {
     address_space: u64,
@@ -69,7 +70,7 @@ impl ProcessMemory {
     }
 }
 
-/// What the process may have; nothing: as much as it wants.
+/// Limits of the process, bytes; `None` where there is none.
 #[derive(Debug, Clone, Copy)]
 struct Limits {
     address_space: Option<u64>,
@@ -88,8 +89,9 @@ fn refusal(at_start: Counted, limits: Limits, cores: u64, cameras: u64, frame_by
         let (limit, needed) = (limit?, had.saturating_add(common.saturating_add(more)));
         (limit < needed).then(|| {
             format!(
-                "{name} lets this process have {} MiB, expected at least {} MiB for a session of {cameras} cameras, {} MiB of \
-                 them for frames; raise it ({unit} of the unit, {shell}), or lower acquisition.buffers_per_camera",
+                "{name} lets this process have {} MiB, expected at least {} MiB for a session of {cameras} cameras, {} \
+                 MiB of them for frames; raise it ({unit} of the unit, {shell}), or lower \
+                 acquisition.buffers_per_camera",
                 limit / MIB,
                 needed.div_ceil(MIB),
                 frame_bytes.div_ceil(MIB)

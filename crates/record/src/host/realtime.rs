@@ -73,7 +73,8 @@ pub fn enter(realtime: &Realtime, role: &str) -> Option<String> {
     let cpus = (!realtime.cpus.is_empty()).then(|| set_cpus(&realtime.cpus)).and_then(Result::err);
     let priority = priority.map(|error| {
         format!(
-            "real-time priority {} refused ({error}): RLIMIT_RTPRIO is {}, needed {}; set LimitRTPRIO, or grant CAP_SYS_NICE",
+            "real-time priority {} refused ({error}): RLIMIT_RTPRIO is {}, needed {}; set LimitRTPRIO, or grant \
+             CAP_SYS_NICE",
             realtime.priority,
             limit_text(soft_limit(libc::RLIMIT_RTPRIO)),
             realtime.priority

@@ -57,7 +57,7 @@ struct Watched {
     schedstat: File,
     counts: Counts,
     read: Instant,
-    /// What the last look found, and in how long.
+    /// Counts of the last window, and its length.
     last: (Counts, Duration),
 }
 

@@ -39,7 +39,7 @@ pub struct Early {
 }
 
 impl Early {
-    /// What a frame shows, `count` blocks after the first.
+    /// The times of a frame that came `count` blocks after the first.
     pub fn of(frame: &Sighting, count: i64, arrived_ns: Option<i128>) -> Self {
         Self { count, camera_ns: frame.camera_ns, arrived_ns }
     }
@@ -62,13 +62,13 @@ impl Source {
     }
 }
 
-/// Of each frame its trigger, as far as it is known.
+/// The trigger of each frame, as far as it is known.
 type Numbers = Vec<Option<i64>>;
 
 /// The triggers of a stream's first frames.
 #[derive(Debug, Clone)]
 pub struct Placed {
-    /// By the better of the two sources that agree; of each frame, as far as it gives one.
+    /// The trigger of each frame by the better of the two sources that agree, as far as it gives one.
     pub numbers: Vec<Option<i64>>,
     /// Whether the other source gives that frame the same.
     pub agreed: Vec<bool>,

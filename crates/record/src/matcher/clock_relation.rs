@@ -89,7 +89,7 @@ impl OnTime {
         self.0 = self.0 << 1 | u8::from(on_time);
     }
 
-    /// The last one was, and of those before no more than one was not.
+    /// Whether the last frame was on time, and of those before all but at most one.
     pub(super) fn is_calm(self) -> bool {
         self.0 & 1 == 1 && self.0.count_zeros() <= 1
     }
@@ -98,7 +98,7 @@ impl OnTime {
 /// How soon after its trigger a frame arrives at the earliest, and how regularly frames do.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Envelope {
-    /// The shortest way that several frames had, ns.
+    /// Shortest time from trigger to arrival that several frames had, ns.
     pub(super) least_ns: i128,
     /// The share of frames that come within a quarter of a period of it.
     pub(super) quick: f64,
@@ -112,10 +112,11 @@ const REGULAR: f64 = 0.875;
 
 impl Latency {
     const KEPT: usize = 32;
-    /// Frames before anything is known.
+    /// Frames from which on the latency is used.
     const ENOUGH: usize = 5;
 
-    /// Learns from a frame whose trigger two witnesses agree on. What stood in a queue teaches nothing, unless all do.
+    /// Learns from a frame whose trigger two witnesses agree on. A frame that waited in a queue is not used, unless all
+    /// wait.
     pub(super) fn follow(&mut self, latency_ns: i128, period_ns: u64) {
         let envelope = self.envelope(period_ns);
         let queued = envelope.is_some_and(|known| latency_ns > known.least_ns + 2 * i128::from(period_ns));

@@ -27,7 +27,7 @@ const IN_TIME_AGREED: usize = 2;
 /// Frames behind one that must agree with each other; with no more to come, one is enough.
 const ALIKE: usize = 2;
 
-/// What counter and clock give a frame.
+/// The triggers that counter and clock give a frame.
 #[derive(Clone, Copy)]
 struct Claim<'a> {
     frame: &'a Sighting,

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which trigger a frame belongs to, by sources that do not know of each other.
 //!
-//! * The **counter**, block ids, counts what the camera sent: one that ignored a trigger does not skip an id, so a frame is
-//!   of the trigger that its id points at or of a later one. Where ids begin is known, because an armed stream is silent
-//!   until the train starts ([`anchor`]).
+//! * The **counter**, block ids, counts what the camera sent: one that ignored a trigger does not skip an id, so a
+//!   frame is of the trigger that its id points at or of a later one. Where ids begin is known, because an armed stream
+//!   is silent until the train starts ([`anchor`]).
 //! * The camera's **clock**, timestamps and readings alike, names the trigger by its time. How long after a trigger a
 //!   camera stamps is measured with the first frames.
 //! * The **host's clock**, the arrival: nothing arrives before its trigger was fired, nor sooner behind it than the
@@ -104,7 +104,7 @@ pub struct Matcher {
     unsettled: bool,
     /// The first id of the stream with which the session began.
     first_id: Option<BlockId>,
-    /// What cameras like this one take from a trigger, until it is measured.
+    /// Habits of a camera like this one, used until its own are measured.
     like: Option<Habits>,
     /// Triggers from one frame to the next, where that is more than one, by the last two frames.
     pace: Option<i64>,
@@ -165,8 +165,8 @@ impl Matcher {
         matches!(self.stage, Stage::Beginning(..)) && self.like.is_none()
     }
 
-    /// What another camera of the same head or make takes: a camera that slept through the warm-up is placed by it,
-    /// where its clock and its arrivals both bear it out.
+    /// Sets the habits of another camera of the same head or make: a camera that slept through the warm-up is placed by
+    /// it, where its clock and its arrivals both bear it out.
     pub fn presume(&mut self, like: Habits) {
         self.like = Some(like);
     }
@@ -495,7 +495,7 @@ impl Matcher {
         self.arrived_ns(frame.host_ns, hsu).is_some_and(|arrived| arrived + slack < due.into())
     }
 
-    /// The same frame once more, or one from before the last.
+    /// Whether it is the same frame again, or one from before the last.
     fn is_repeated(&self, frame: &Sighting, step: Option<i64>) -> bool {
         let Some((last, step)) = self.last.zip(step) else { return false };
         match frame.camera_ns.zip(last.camera_ns) {

@@ -16,7 +16,7 @@ use super::{Case, Matcher, Stage};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Named {
     number: i64,
-    /// By the clock's relation from before.
+    /// Whether the clock's relation from before names the same trigger.
     unchanged: bool,
 }
 

@@ -16,7 +16,7 @@ pub struct Sighting {
     pub complete: bool,
 }
 
-/// What a match rests on.
+/// The number of sources that a match rests on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Witness {
     /// Two of block id, timestamp and arrival agree, and the third does not refute them.
@@ -25,7 +25,7 @@ pub enum Witness {
     One,
 }
 
-/// What else a frame's witnesses show.
+/// An irregularity that a frame's sources show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Finding {
     /// The id jumped by this many more than frames were lost (negative: it fell back).

@@ -31,7 +31,8 @@ impl Row {
     }
 }
 
-/// Times of the triggers so far, HSU clock, by number; warm-up triggers have negative numbers.
+/// Times of the triggers so far, HSU clock, by number; warm-up triggers have negative numbers. The recorder's
+/// accounting owns one for each session and fills it from the HSU's reports; matchers read it.
 ///
 /// The HSU's times are a source of their own and can be wrong. Their rhythm shows it (`hsu-protocol.md`): two triggers
 /// are at least 7/8 of a period apart, one that comes later than it should is flagged, and no report arrives before its
@@ -352,12 +353,12 @@ pub struct Schedule<'a> {
 }
 
 impl TriggerTable {
-    /// What was reported, and nothing else.
+    /// The triggers that were reported, without expected ones.
     pub fn reported(&self) -> Schedule<'_> {
         Schedule { table: self, due: 0, period_ns: 1 }
     }
 
-    /// With the triggers that a train of this period has fired by `now_ns` (HSU clock), reported or not.
+    /// The same with the triggers that a train of this period has fired by `now_ns` (HSU clock), reported or not.
     pub fn expected_until(&self, now_ns: i128, period_ns: u64) -> Schedule<'_> {
         let since = self.latest_ns().map_or(0, |latest| now_ns - i128::from(latest));
         let due = (since / i128::from(period_ns.max(1))).clamp(0, HOLE_MAX.into()) as i64;

@@ -21,7 +21,7 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-/// What is left of one node's recording.
+/// What is left of one node's recording. Recovery makes one for each recording, and writes the copy from it.
 pub struct Salvage {
     /// Its directory, or the single segment.
     pub path: PathBuf,
@@ -235,7 +235,8 @@ impl Salvage {
         let statistics = self.own(scan.statistics.into_iter().collect(), &mut records).pop();
         if frames > 0 || records > 0 {
             let reason = format!(
-                "{frames} frames and {records} other records are of another session, which the disk still held: they are left out"
+                "{frames} frames and {records} other records are of another session, which the disk still held: they \
+                 are left out"
             );
             self.note(number, reason);
         }
@@ -319,7 +320,7 @@ impl Salvage {
         self.known_end().max(stated)
     }
 
-    /// What the HSU counted, if the recording was finished and knows.
+    /// The HSU's count of triggers, if the recording was finished and has it.
     pub fn emitted(&self) -> Option<u64> {
         self.verdict.as_ref().and_then(|verdict| verdict.triggers_emitted)
     }

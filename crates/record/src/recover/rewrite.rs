@@ -62,7 +62,7 @@ struct Copy<'a> {
     added: Vec<AddedGaps>,
     advance: &'a dyn Fn(u64),
     advanced: u64,
-    /// Of the frame that is copied.
+    /// Message of the frame that is copied, kept to reuse its memory.
     message: Vec<u8>,
 }
 

@@ -38,7 +38,7 @@ pub struct Damage {
     pub segment: u32,
     /// First byte that is not as it was written.
     pub from: u64,
-    /// Where usable records go on; 0 when the segment as such is concerned.
+    /// Offset at which usable records go on; 0 when the segment as such is concerned.
     pub to: u64,
     /// What was expected and found.
     pub reason: String,
@@ -65,7 +65,7 @@ pub struct FoundFrame {
     pub camera: usize,
     pub trigger: u64,
     pub session: Option<SessionMark>,
-    /// Where its message is in the file.
+    /// Place of its message in the file.
     pub message: Range<usize>,
 }
 
@@ -96,7 +96,7 @@ pub struct SegmentScan {
     pub stated_records: Option<u64>,
     /// Whether the verdict's own checksum is right.
     pub verdict_proven: bool,
-    /// As stored, if its own checksum is right.
+    /// The stored statistics, if their own checksum is right.
     pub statistics: Option<Labelled<WriteStatistics>>,
     /// In the order of the file.
     pub damage: Vec<Damage>,
@@ -151,7 +151,7 @@ pub fn scan(number: u32, file: &SegmentFile, advance: &dyn Fn(u64)) -> SegmentSc
 /// Where and why the walk along the records ended.
 struct Break {
     at: usize,
-    /// What is wrong there; `None` where the file may just be cut.
+    /// The damage there; `None` where the file may just be cut.
     reason: Option<String>,
 }
 
@@ -166,7 +166,7 @@ struct Scanner<'a> {
     trusted: bool,
     /// Whether a checksum proves everything in the chunk but pixels; a chunk that is cut has none.
     checked: bool,
-    /// Of the data section so far.
+    /// Checksum of the data section up to `hashed`.
     data: Hasher,
     hashed: usize,
     /// Whether an index has been named.

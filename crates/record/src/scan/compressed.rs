@@ -41,10 +41,10 @@ fn compression(file: &SegmentFile) -> Option<String> {
     None
 }
 
-/// What is wrong with such a segment, and what to do.
+/// The message about such a segment, with what to do.
 pub(super) fn compressed_reason(compression: &str) -> String {
     format!(
-        "its chunks are compressed ({compression}), as `mcap compress`, `filter`, `merge` and `sort` write them; decompress it \
-         first: `mcap decompress IN -o OUT`, then `fourdbody recover`"
+        "its chunks are compressed ({compression}), as `mcap compress`, `filter`, `merge` and `sort` write them; \
+         decompress it first: `mcap decompress IN -o OUT`, then `fourdbody recover`"
     )
 }

@@ -31,7 +31,7 @@ fn spend(budget: &mut usize, bytes: usize) -> Option<()> {
     left.map(|_| ())
 }
 
-/// What is usable behind damage.
+/// Something usable that was found behind damage.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Found {
     /// A record of ours begins here.

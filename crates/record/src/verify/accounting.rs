@@ -51,13 +51,14 @@ pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) 
         Some(_) => {}
     }
     if !recording.belonging.is_witnessed() {
-        let message = "its records have no mark of their session, as in earlier versions: only the headers show that none of \
-                       another session is among them";
+        let message = "its records have no mark of their session, as in earlier versions: only the headers show that \
+            none of another session is among them";
         notes.add(Severity::Note, None, None, None, message);
     }
     for range in recording.numbers.absent(recording.numbered().min(MAX_TRIGGERS)) {
         let message = format!(
-            "{} small records are missing (rows of the trigger table, gap records, samples or events), numbers {} to {}",
+            "{} small records are missing (rows of the trigger table, gap records, samples or events), numbers {} to \
+             {}",
             range.end - range.start,
             range.start,
             range.end - 1

@@ -22,7 +22,7 @@ pub struct Comparison {
     pub triggers: [u64; 2],
     /// Triggers that are in both HSU tables.
     pub table_rows: u64,
-    /// Of those, the ones whose rows differ.
+    /// Triggers in both tables whose rows differ.
     pub rows_that_differ: u64,
     /// Whether nothing differs that has to agree; otherwise findings name it.
     pub agree: bool,

@@ -171,7 +171,7 @@ impl Readings {
         begins.into_iter().any(|begin| (begin - host_ns).abs() <= BETWEEN_READINGS_NS)
     }
 
-    /// Where the clock was set, as far as enough readings agree on both sides: the host's time, and by how much, ns.
+    /// The settings of the clock, as far as enough readings agree on both sides: the host's time, and by how much, ns.
     pub fn settings(&self) -> impl Iterator<Item = (i128, i128)> + '_ {
         let sustained: Vec<&Epoch> = self.epochs.iter().filter(|epoch| epoch.is_sustained()).collect();
         let pairs: Vec<(i128, i128)> = sustained

@@ -17,8 +17,8 @@ pub fn check(recording: &RecordingReader, notes: &mut Notes) {
     }
     for camera in &recording.header.cameras {
         for row in unnamed(recording, &camera.id).iter() {
-            let message = "PTP did not keep its clock meanwhile (events ptp_status), and no event states that these exposures \
-                           were not simultaneous with those of the others";
+            let message = "PTP did not keep its clock meanwhile (events ptp_status), and no event states that these \
+                exposures were not simultaneous with those of the others";
             notes.add(Severity::Unconfirmed, None, Some(&camera.id), Some((row.first, row.last)), message);
         }
     }

@@ -31,7 +31,7 @@ const HOLE_MAX: i64 = 1 << 20;
 /// Verification makes one for each recording and drops it at the end. It promises times as they were reported, or
 /// between two that were; nothing is extrapolated.
 pub struct Table {
-    /// By number; those of the warm-up are negative.
+    /// Rows by number; those of the warm-up are negative.
     rows: BTreeMap<i64, Row>,
     /// The HSU's clock against the host's.
     pub readings: Readings,
@@ -44,7 +44,7 @@ pub struct Table {
 #[derive(Debug, Clone, Copy)]
 struct Row {
     hsu_ns: i128,
-    /// As recorded; a warm-up trigger's are not.
+    /// The recorded row; warm-up triggers have none.
     recorded: Option<TriggerRecord>,
 }
 
@@ -178,8 +178,8 @@ impl Table {
         });
         silent.note(None, notes, |step| {
             format!(
-                "fired {step:.3} ms after the trigger before, and the HSU did not flag it as late; expected a period of \
-                 {period:.3} ms"
+                "fired {step:.3} ms after the trigger before, and the HSU did not flag it as late; expected a period \
+                 of {period:.3} ms"
             )
         });
     }
@@ -231,8 +231,8 @@ impl Table {
         });
         if count >= REPORTS && quickest > self.period_ns * 3 / 4 {
             let message = format!(
-                "the quickest of {count} reports came {:.3} ms after its trigger: the trigger times, or the readings of \
-                 the HSU's clock, are early",
+                "the quickest of {count} reports came {:.3} ms after its trigger: the trigger times, or the readings \
+                 of the HSU's clock, are early",
                 ms(quickest)
             );
             let rows = recording.triggers.first_key_value().zip(recording.triggers.last_key_value());
@@ -245,7 +245,8 @@ impl Table {
     fn check_clock(&self, notes: &mut Notes) {
         for (at, by) in self.readings.settings() {
             let message = format!(
-                "the HSU's clock was set by {:.3} ms at {at} ns of the host's clock, by its readings; its triggers go on",
+                "the HSU's clock was set by {:.3} ms at {at} ns of the host's clock, by its readings; its triggers go \
+                 on",
                 ms(by)
             );
             notes.add(Severity::Corrupt, None, None, None, message);
@@ -310,8 +311,8 @@ fn check_created(recording: &RecordingReader, notes: &mut Notes) {
     if late || reading.is_some_and(|first| created.abs_diff(first) > PREPARED_NS) {
         let shown = |ns: Option<u64>| ns.map_or("none".to_owned(), |ns| format!("at {ns} ns"));
         let message = format!(
-            "created at {created} ns of the host's clock, but its first reading of a clock is {}, its first report of a \
-             trigger {}",
+            "created at {created} ns of the host's clock, but its first reading of a clock is {}, its first report of \
+             a trigger {}",
             shown(reading),
             shown(report)
         );
@@ -336,7 +337,8 @@ pub fn note_readings(
     if let Some((at, _)) = readings.strays.first() {
         let count = readings.strays.len();
         let message = format!(
-            "{count} readings of {of} contradict those around them and are not used, the first at {at} ns of the host's clock"
+            "{count} readings of {of} contradict those around them and are not used, the first at {at} ns of the \
+             host's clock"
         );
         notes.add(Severity::Unconfirmed, None, camera, None, message);
     }

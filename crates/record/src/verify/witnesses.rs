@@ -70,7 +70,8 @@ pub fn check(recording: &RecordingReader, times: &[Times], whole: bool, notes: &
         return;
     }
     let Some(table) = Table::of(recording, notes) else {
-        let message = "neither its header nor a trigger table state when triggers were fired: only the ids show which trigger frames are of";
+        let message = "neither its header nor a trigger table state when triggers were fired: only the ids show which \
+            trigger frames are of";
         return notes.add(Severity::Unconfirmed, None, None, None, message);
     };
     table.check(recording, whole, notes);
@@ -110,7 +111,7 @@ fn most_stamped<'a>(seen: impl Iterator<Item = &'a Seen>) -> bool {
     stamped * 2 > all
 }
 
-/// What was seen of a camera in the warm-up, in the order of arrival.
+/// The frames of a camera in the warm-up, in the order of arrival.
 fn warm_up_of(recording: &RecordingReader, id: &CameraId) -> Vec<Seen> {
     let own = recording.events.iter().filter(|event| event.camera.as_ref() == Some(id));
     let frame = |sample| match sample {
@@ -148,8 +149,8 @@ impl Camera<'_> {
             && !self.table.readings.epochs.is_empty()
             && !self.explained.has_no_clock()
         {
-            let message = "its clock was never read, and no event states that it cannot be read: its timestamps rest on the \
-                           warm-up alone";
+            let message = "its clock was never read, and no event states that it cannot be read: its timestamps rest \
+                on the warm-up alone";
             notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
         }
         self.check_order(&recorded, notes);
@@ -251,8 +252,8 @@ impl Camera<'_> {
             let slack = period / 4;
             if delay < -slack || arrived.is_some_and(|way| delay > way + slack) {
                 let message = format!(
-                    "its timestamps are not of the clock whose readings are recorded: by them they lie {:.3} ms after the \
-                     triggers{}",
+                    "its timestamps are not of the clock whose readings are recorded: by them they lie {:.3} ms after \
+                     the triggers{}",
                     ms(delay),
                     arrived.map_or(String::new(), |way| format!(
                         ", and frames arrive {:.3} ms after them",
@@ -262,8 +263,8 @@ impl Camera<'_> {
                 notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
             } else if !found && delay > period * 7 / 8 {
                 let message = format!(
-                    "its frames were exposed {:.3} ms after their triggers, by the recorded readings of both clocks: not \
-                     the frames of these triggers",
+                    "its frames were exposed {:.3} ms after their triggers, by the recorded readings of both clocks: \
+                     not the frames of these triggers",
                     ms(delay)
                 );
                 notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
@@ -271,11 +272,11 @@ impl Camera<'_> {
         }
         if !found {
             let message = if self.delay_ns.is_some() {
-                "the rhythm of the warm-up is not found in its frames: its place in the train rests on its clock, and on the \
-                 assumption that it stamps and sends within a period of a trigger"
+                "the rhythm of the warm-up is not found in its frames: its place in the train rests on its clock, and \
+                 on the assumption that it stamps and sends within a period of a trigger"
             } else {
-                "the rhythm of the warm-up is not found in its frames, and its clock was not read: its place in the train \
-                 rests on its ids alone"
+                "the rhythm of the warm-up is not found in its frames, and its clock was not read: its place in the \
+                 train rests on its ids alone"
             };
             notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
         }
@@ -366,7 +367,8 @@ impl Camera<'_> {
             }
         }
         for range in late.long(LATE_NS, PART) {
-            let message = "all of its frames arrive later than at the beginning by more than half a period: arrivals do not confirm them";
+            let message = "all of its frames arrive later than at the beginning by more than half a period: arrivals \
+                do not confirm them";
             notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
         }
         for (range, message) in wrong.0 {
@@ -502,8 +504,8 @@ impl Camera<'_> {
             None => "cannot be compared".to_owned(),
         };
         format!(
-            "not the frames of these triggers: their ids {ids}; their timestamps {clock}; the quickest arrives {} later than \
-             usual; expected two sources to agree, within half a period, {:.3} ms",
+            "not the frames of these triggers: their ids {ids}; their timestamps {clock}; the quickest arrives {} \
+             later than usual; expected two sources to agree, within half a period, {:.3} ms",
             off(evidence.late_ns),
             ms(self.table.period_ns / 2)
         )

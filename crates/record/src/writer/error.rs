@@ -16,7 +16,8 @@ pub enum RecordError {
     Exists { path: PathBuf },
     /// The session would not fit.
     #[error(
-        "{path}: the session needs {needed_mib} MiB and {reserve_mib} MiB stay reserved, but only {free_mib} MiB are free; delete or move sessions, or ask for fewer triggers"
+        "{path}: the session needs {needed_mib} MiB and {reserve_mib} MiB stay reserved, but only {free_mib} MiB are \
+         free; delete or move sessions, or ask for fewer triggers"
     )]
     NoSpace {
         /// Where the recording would be.
@@ -27,7 +28,8 @@ pub enum RecordError {
     },
     /// The reserve is reached: frames become gap records with cause `dropped_disk`, the rest goes on.
     #[error(
-        "{path}: {free_mib} MiB are free, the reserve is {reserve_mib} MiB: frames are no longer recorded; stop the session"
+        "{path}: {free_mib} MiB are free, the reserve is {reserve_mib} MiB: frames are no longer recorded; stop the \
+         session"
     )]
     ReserveReached { path: PathBuf, free_mib: u64, reserve_mib: u64 },
     /// The disk failed. What was flushed before is readable; the frame is accounted for as `dropped_disk`.
