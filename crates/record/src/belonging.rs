@@ -88,11 +88,6 @@ impl Belonging {
         Self { own: SessionMark::of(&header.session_id), version }
     }
 
-    /// Whether the records prove their session at all.
-    pub fn is_witnessed(&self) -> bool {
-        self.written().is_some()
-    }
-
     /// The mark that a recording of this version writes.
     pub fn written(&self) -> Option<SessionMark> {
         self.own.filter(|_| self.version >= FIRST_VERSION)

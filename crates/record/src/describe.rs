@@ -11,6 +11,7 @@ pub use sheet::{Sheet, Table};
 
 use super::layout::{CameraHeader, ClockSample, GapCause};
 use super::reader::{Outcome, RecordingReader, SegmentReader};
+use super::scan::End;
 use super::time_code::TimeCodeLine;
 use crate::base::clock_fit::{ClockFit, Exchange, RESET_RUN};
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -246,7 +247,7 @@ pub fn segments(recording: &RecordingReader) -> Vec<SegmentDescription> {
         first_trigger: segment.first_trigger,
         end_trigger: segment.end_trigger,
         frames_end: ends.get(place).copied().flatten(),
-        closed: segment.is_closed(),
+        closed: segment.end == End::Closed,
         broken: segment.broken(),
     };
     recording.segments.iter().enumerate().map(describe).collect()

@@ -44,14 +44,9 @@ impl StatedHeader {
     /// Whether it is of another recording than `own`. All segments of a recording were created with the same header;
     /// one that no checksum proves has to differ twice, because one difference may be damage.
     pub fn is_foreign(&self, own: &RecordingHeader) -> bool {
-        is_foreign(&self.header, self.proven, own)
+        let differs = self.header.session_id != own.session_id || self.header.node != own.node;
+        differs && (self.proven || self.header.created_ns != own.created_ns)
     }
-}
-
-/// Whether a header is of another recording, see [`StatedHeader::is_foreign`].
-pub(super) fn is_foreign(header: &RecordingHeader, proven: bool, own: &RecordingHeader) -> bool {
-    let differs = header.session_id != own.session_id || header.node != own.node;
-    differs && (proven || header.created_ns != own.created_ns)
 }
 
 /// The message about a segment of another recording.

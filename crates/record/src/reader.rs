@@ -52,11 +52,6 @@ pub struct SegmentReader {
 }
 
 impl SegmentReader {
-    /// Whether it ends as a segment does that was closed.
-    pub fn is_closed(&self) -> bool {
-        self.end == End::Closed
-    }
-
     /// How far its records go and what is there, if it does not end as a closed segment does.
     pub fn broken(&self) -> Option<String> {
         match &self.end {

@@ -75,23 +75,20 @@ pub(super) struct Latency {
 
 /// Whether the last frames came as soon behind a trigger, of whichever, as the quickest do: where a host takes frames
 /// up at any time, half of them do.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct OnTime(u8);
-
-impl Default for OnTime {
-    fn default() -> Self {
-        Self(u8::MAX)
-    }
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct OnTime {
+    /// A bit for each of the last frames, the newest lowest: set where it was late.
+    late: u8,
 }
 
 impl OnTime {
     pub(super) fn add(&mut self, on_time: bool) {
-        self.0 = self.0 << 1 | u8::from(on_time);
+        self.late = self.late << 1 | u8::from(!on_time);
     }
 
     /// Whether the last frame was on time, and of those before all but at most one.
     pub(super) fn is_calm(self) -> bool {
-        self.0 & 1 == 1 && self.0.count_zeros() <= 1
+        self.late & 1 == 0 && self.late.count_ones() <= 1
     }
 }
 

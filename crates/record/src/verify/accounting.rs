@@ -50,7 +50,7 @@ pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) 
         }
         Some(_) => {}
     }
-    if !recording.belonging.is_witnessed() {
+    if recording.belonging.written().is_none() {
         let message = "its records have no mark of their session, as in earlier versions: only the headers show that \
             none of another session is among them";
         notes.add(Severity::Note, None, None, None, message);

@@ -12,7 +12,7 @@ const MAX_FINDINGS: usize = 10_000;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Severity {
-    /// Information; nothing is wrong.
+    /// Information only: nothing is wrong.
     Note,
     /// Nothing contradicts it, but nothing confirms it: it rests on one source, or frames were not taken as agreed.
     Unconfirmed,
@@ -40,13 +40,9 @@ pub struct Finding {
 
 impl fmt::Display for Finding {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let word = match self.severity {
-            Severity::Note => "note",
-            Severity::Unconfirmed => "unconfirmed",
-            Severity::Loss => "loss",
-            Severity::Corrupt => "corrupt",
-        };
-        write!(f, "{word}: node {}", self.node)?;
+        // The serialized name is the name everywhere.
+        self.severity.serialize(&mut *f)?;
+        write!(f, ": node {}", self.node)?;
         if let Some(segment) = self.segment {
             write!(f, " segment {segment}")?;
         }

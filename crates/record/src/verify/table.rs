@@ -5,7 +5,6 @@ use super::findings::{Notes, Severity};
 use super::header::severity;
 use super::readings::{HostTime, Readings};
 use super::rows::{Rows, ms};
-use crate::base::ids::TriggerIndex;
 use crate::layout::{TriggerRecord, WarmUp};
 use crate::reader::RecordingReader;
 use crate::recover::RECOVERED;
@@ -376,9 +375,4 @@ fn stated_period(recording: &RecordingReader, notes: &mut Notes) -> Option<i128>
 fn pairs(rows: &BTreeMap<i64, Row>) -> impl Iterator<Item = ((i64, Row), (i64, Row))> + '_ {
     let rows = || rows.iter().map(|(number, row)| (*number, *row));
     rows().zip(rows().skip(1))
-}
-
-/// The number of a trigger of the session, as [`Table`] counts them.
-pub fn number(trigger: TriggerIndex) -> Option<i64> {
-    i64::try_from(trigger.0).ok()
 }

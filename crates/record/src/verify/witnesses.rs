@@ -9,11 +9,11 @@ use super::explained::Explained;
 use super::findings::{Notes, Severity};
 use super::frame::{Frame, Seen, Times, range_of, skipped};
 use super::header::severity;
-use super::readings::Readings;
+use super::readings::{HostTime, Readings};
 use super::rhythm;
 use super::rows::{Late, Rows, Wrong, ms};
-use super::table::{Table, note_readings, number};
-use crate::base::ids::{CameraId, TriggerIndex};
+use super::table::{Table, note_readings};
+use crate::base::ids::CameraId;
 use crate::layout::WarmUp;
 use crate::reader::RecordingReader;
 use std::collections::BTreeMap;
@@ -80,7 +80,7 @@ pub fn check(recording: &RecordingReader, times: &[Times], whole: bool, notes: &
         let Some(explained) = Explained::of(recording, place, id, whole) else { continue };
         let samples = recording.clock_samples.iter().filter(|sample| sample.camera.as_ref() == Some(id));
         let frames = times.iter().filter_map(|(&trigger, &seen)| {
-            let number = number(TriggerIndex(trigger))?;
+            let number = i64::try_from(trigger).ok()?;
             Some(Frame { number, hsu_ns: table.fired_ns(number)?, seen })
         });
         let frames: Vec<Frame> = frames.collect();
@@ -165,25 +165,24 @@ impl Camera<'_> {
         self.judge(&frames, began, notes);
     }
 
-    /// When a trigger was fired, host clock, and what is open, ns.
-    fn fired(&self, frame: &Frame) -> Option<(i128, i128)> {
-        let found = self.table.host_time(frame.hsu_ns, frame.number)?;
-        Some((found.ns, found.open_ns))
+    /// When a trigger was fired, host clock.
+    fn fired(&self, frame: &Frame) -> Option<HostTime> {
+        self.table.host_time(frame.hsu_ns, frame.number)
     }
 
     /// From a trigger to the frame's arrival, and what is open, ns.
     fn arrived_after(&self, frame: &Frame) -> Option<(i128, i128)> {
-        let (fired, open) = self.fired(frame)?;
-        Some((i128::from(frame.seen.host_ns) - fired, open))
+        let fired = self.fired(frame)?;
+        Some((i128::from(frame.seen.host_ns) - fired.ns, fired.open_ns))
     }
 
     /// From a trigger to the frame's stamp, by the first readings that were in force, ns.
     fn stamped_after(&self, frame: &Frame) -> Option<i128> {
-        let (fired, open) = self.fired(frame)?;
+        let fired = self.fired(frame)?;
         let camera_ns = i128::from(frame.seen.camera_ns);
         let mut found = self.readings.host_times(camera_ns, frame.seen.host_ns.into());
-        let found = found.find(|found| found.open_ns + open < self.table.period_ns / 4);
-        found.filter(|_| camera_ns != 0).map(|found| found.ns - fired)
+        let found = found.find(|found| found.open_ns + fired.open_ns < self.table.period_ns / 4);
+        found.filter(|_| camera_ns != 0).map(|found| found.ns - fired.ns)
     }
 
     /// How far the middle of frames' stamps lies from the usual delay beyond what the readings leave open, ns; `None`
@@ -191,12 +190,12 @@ impl Camera<'_> {
     fn off_by_readings(&self, frames: &[Frame]) -> Option<i128> {
         let usual = self.delay_ns?;
         let off = |frame: &Frame| {
-            let (fired, open_hsu) = self.fired(frame)?;
+            let fired = self.fired(frame)?;
             let camera_ns = i128::from(frame.seen.camera_ns);
             let found = self.readings.host_times(camera_ns, frame.seen.host_ns.into());
             let off = found.filter_map(|found| {
-                let open = found.open_ns + open_hsu;
-                let off = found.ns - fired - usual;
+                let open = found.open_ns + fired.open_ns;
+                let off = found.ns - fired.ns - usual;
                 (open < self.table.period_ns / 2).then_some(off.signum() * (off.abs() - open).max(0))
             });
             off.min_by_key(|ns| ns.abs()).filter(|_| camera_ns != 0)
