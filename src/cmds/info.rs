@@ -66,7 +66,7 @@ fn recording_json(recording: &RecordingReader) -> serde_json::Value {
         "header": recording.header,
         "segments": recording.segments.len(),
         "segment_files": describe::segments(recording),
-        "bytes": bytes(recording),
+        "bytes": recording.bytes(),
         "triggers": recording.triggers_end(),
         "duration_s": describe::duration_s(recording),
         "measured_rate_hz": describe::measured_rate_hz(recording),
@@ -84,10 +84,6 @@ fn recording_json(recording: &RecordingReader) -> serde_json::Value {
         "write_statistics": recording.statistics,
         "missing": describe::missing(recording),
     })
-}
-
-fn bytes(recording: &RecordingReader) -> u64 {
-    recording.segments.iter().map(|segment| segment.length() as u64).sum()
 }
 
 /// A line for several nodes together.

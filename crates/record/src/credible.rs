@@ -16,7 +16,7 @@ pub(super) fn most_triggers(bytes: u64) -> u64 {
 impl RecordingReader {
     /// Leaves out what lies so far behind the beginning that its bytes cannot hold the outcomes between, and names it.
     pub(super) fn leave_out_the_incredible(&mut self) {
-        let bytes: u64 = self.segments.iter().map(|segment| segment.length() as u64).sum();
+        let bytes = self.bytes();
         let start = self.segments.iter().map(|segment| segment.first_trigger).min().unwrap_or(0);
         let end = start.min(MAX_TRIGGERS).saturating_add(most_triggers(bytes));
         let last = self.triggers_end();

@@ -102,7 +102,7 @@ impl MessageWriter {
 
 /// The value of a field, by its wire type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Value<'a> {
+pub(crate) enum Value<'a> {
     Varint(u64),
     Fixed32(u32),
     Fixed64(u64),
@@ -111,7 +111,7 @@ pub enum Value<'a> {
 }
 
 /// Reads a message field by field, without allocating.
-pub struct MessageReader<'a> {
+pub(crate) struct MessageReader<'a> {
     message: &'a [u8],
     position: usize,
 }

@@ -529,6 +529,11 @@ impl RecordingReader {
         self.header.cameras.iter().zip(&self.outcomes).map(count).collect()
     }
 
+    /// Length of all segments together, bytes.
+    pub fn bytes(&self) -> u64 {
+        self.segments.iter().map(|segment| segment.length() as u64).sum()
+    }
+
     /// How many small records there were, as far as is known.
     pub(super) fn numbered(&self) -> u64 {
         self.records.unwrap_or(0).max(self.numbers.end())

@@ -240,8 +240,7 @@ fn extent_of(salvaged: &[Salvage], path: &Path, is_session: bool) -> SessionExte
         group.map(|one| (one.end(), one.emitted())).unzip();
     for other in if is_session { Vec::new() } else { siblings(path) } {
         if same(&other.header.session_id) && other.header.node != first.header.node {
-            let bytes = other.segments.iter().map(|segment| segment.length() as u64).sum();
-            ends.push(other.triggers_end().min(most_triggers(bytes)));
+            ends.push(other.triggers_end().min(most_triggers(other.bytes())));
             counts.push(other.verdict.as_ref().and_then(|verdict| verdict.triggers_emitted));
         }
     }

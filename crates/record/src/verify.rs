@@ -72,10 +72,7 @@ impl Report {
 pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Report, ReadError> {
     let (readers, unreadable) = open_each(path)?;
     let single_segment = path.is_file();
-    let length = |recording: &RecordingReader| -> u64 {
-        recording.segments.iter().map(|segment| segment.length() as u64).sum()
-    };
-    let total = readers.iter().map(length).sum();
+    let total = readers.iter().map(RecordingReader::bytes).sum();
     let done = AtomicU64::new(0);
     let advance = |bytes: u64| progress(done.fetch_add(bytes, Ordering::Relaxed) + bytes, total);
     let mut notes = Notes::new("");
@@ -113,7 +110,7 @@ pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Repor
             simultaneous::check(recording, &mut own);
         }
         notes.absorb(own);
-        let (path, bytes) = (recording.path.clone(), length(recording));
+        let (path, bytes) = (recording.path.clone(), recording.bytes());
         recordings.push(RecordingReport { node: node.to_owned(), path, bytes, verdict });
     }
     let here: Vec<&RecordingReader> = readers.iter().collect();

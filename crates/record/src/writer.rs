@@ -4,7 +4,7 @@
 //! One thread calls it. It waits for the disk only when the queue of chunks is full; frames wait in their pool
 //! meanwhile.
 
-use super::belonging::{Belonging, Label};
+use super::belonging::{Belonging, Label, SessionMark};
 use super::direct_io::{DirectFile, Store, sync_directory};
 use super::envelope::{FrameMeta, marked, parse_envelope};
 use super::layout::{
@@ -176,8 +176,7 @@ impl Recording {
     /// [`RecordError::Frame`], the trigger has its outcome afterwards, if need be a gap with cause
     /// `dropped_disk`: the caller adds nothing.
     pub fn frame(&mut self, camera: usize, meta: &FrameMeta, message: &[u8]) -> Result<(), RecordError> {
-        self.check_frame(camera, meta, message)?;
-        let known = parse_envelope(message).ok().and_then(|envelope| envelope.session);
+        let known = self.check_frame(camera, meta, message)?;
         match self.belonging.written().filter(|own| known != Some(*own)) {
             None => self.place_frame(camera, meta, |segment, _| segment.frame(camera, meta, message)),
             Some(own) => {
@@ -263,7 +262,13 @@ impl Recording {
     }
 
     /// The message must be the frame that `meta` and the header describe: otherwise a reader would refuse it.
-    fn check_frame(&self, camera: usize, meta: &FrameMeta, message: &[u8]) -> Result<(), RecordError> {
+    /// Returns the mark in the message, if it has one.
+    fn check_frame(
+        &self,
+        camera: usize,
+        meta: &FrameMeta,
+        message: &[u8],
+    ) -> Result<Option<SessionMark>, RecordError> {
         let described = self.described(camera)?;
         let wrong = |reason: String| RecordError::Frame { camera, reason };
         let envelope = parse_envelope(message).map_err(|e| wrong(e.to_string()))?;
@@ -273,7 +278,8 @@ impl Recording {
                 envelope.camera, envelope.meta, described.id
             )));
         }
-        self.check_size(camera, meta)
+        self.check_size(camera, meta)?;
+        Ok(envelope.session)
     }
 
     fn check_size(&self, camera: usize, meta: &FrameMeta) -> Result<(), RecordError> {

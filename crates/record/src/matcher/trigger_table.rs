@@ -189,17 +189,12 @@ impl TriggerTable {
     /// A report that was missing: its time must lie between those of its neighbours.
     fn fill(&mut self, number: i64, hsu_ns: u64, possible: bool) {
         let place = (number - self.first) as usize;
-        let apart = self.period_ns * 7 / 8;
-        let row = |place: Option<usize>| place.and_then(|place| self.rows.get(place)).filter(|row| row.sound);
-        let after_last =
-            row(place.checked_sub(1)).is_none_or(|row| hsu_ns >= row.hsu_ns.saturating_add(apart));
-        let before_next = row(Some(place + 1)).is_none_or(|row| hsu_ns.saturating_add(apart) <= row.hsu_ns);
-        let around =
-            |place: Option<usize>| place.and_then(|place| self.rows.get(place)).map(|row| row.hsu_ns);
-        let least = around(place.checked_sub(1)).unwrap_or(0);
-        let most = around(Some(place + 1)).unwrap_or(u64::MAX);
-        let row = self.rows[place];
-        if !row.has_report && possible && after_last && before_next && (least..=most).contains(&hsu_ns) {
+        let apart = |row: &Row| if row.sound { self.period_ns * 7 / 8 } else { 0 };
+        let before = place.checked_sub(1).and_then(|place| self.rows.get(place));
+        let after_last = before.is_none_or(|row| hsu_ns >= row.hsu_ns.saturating_add(apart(row)));
+        let after = self.rows.get(place + 1);
+        let before_next = after.is_none_or(|row| hsu_ns.saturating_add(apart(row)) <= row.hsu_ns);
+        if !self.rows[place].has_report && possible && after_last && before_next {
             self.rows[place] = Row::reported(hsu_ns, true);
         }
     }

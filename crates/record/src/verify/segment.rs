@@ -76,7 +76,17 @@ fn check_segment(
                             check_frame(&payload, camera, TriggerIndex(trigger), header, &recording.belonging)
                         };
                         let checked = read.clone().and_then(check);
-                        note_frame(recording, segment, camera, trigger, checked.as_ref().err(), notes);
+                        let (id, range) = (Some(&header.cameras[camera].id), Some((trigger, trigger)));
+                        if let Err(reason) = &checked {
+                            notes.add(Severity::Corrupt, number, id, range, reason);
+                        }
+                        let first = segment.first_trigger;
+                        if trigger < first || segment.end_trigger.is_some_and(|end| trigger >= end) {
+                            let end = segment.end_trigger.map_or("the end".to_owned(), |end| end.to_string());
+                            let message =
+                                format!("the frame lies outside of its segment's triggers, {first} to {end}");
+                            notes.add(Severity::Corrupt, number, id, range, message);
+                        }
                         if let Ok((meta, pixels)) = checked {
                             let (camera_ns, host_ns) = (meta.camera_time_ns, meta.host_time_ns);
                             times[camera].insert(trigger, Seen { block: meta.block.0, camera_ns, host_ns });
@@ -216,27 +226,6 @@ fn check_crc(notes: &mut Notes, segment: Option<u32>, found: Hasher, stated: u32
     if found != stated {
         let message = format!("{message}: {found:#010x}, expected {stated:#010x}");
         notes.add(Severity::Corrupt, segment, None, None, message);
-    }
-}
-
-fn note_frame(
-    recording: &RecordingReader,
-    segment: &SegmentReader,
-    camera: usize,
-    trigger: u64,
-    wrong: Option<&String>,
-    notes: &mut Notes,
-) {
-    let id = recording.header.cameras.get(camera).map(|camera| &camera.id);
-    let mut add = |message: String| {
-        notes.add(Severity::Corrupt, Some(segment.number), id, Some((trigger, trigger)), message);
-    };
-    if let Some(reason) = wrong {
-        add(reason.clone());
-    }
-    if trigger < segment.first_trigger || segment.end_trigger.is_some_and(|end| trigger >= end) {
-        let end = segment.end_trigger.map_or("the end".to_owned(), |end| end.to_string());
-        add(format!("the frame lies outside of its segment's triggers, {} to {end}", segment.first_trigger));
     }
 }
 
