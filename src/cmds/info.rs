@@ -9,7 +9,7 @@ use crate::record::{RecordingReader, Unreadable, open_each};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-/// Lines about what is missing that are printed; JSON has all.
+/// Most lines about what is missing that are printed; JSON has all.
 const MAX_LINES: usize = 20;
 
 /// Describe a session, a recording or a segment: who, when, which cameras, how many triggers, what is missing.
@@ -86,7 +86,7 @@ fn recording_json(recording: &RecordingReader) -> serde_json::Value {
     })
 }
 
-/// A line for several nodes together.
+/// Prints a line about several nodes together.
 fn print_session(recordings: &[RecordingReader]) {
     let [first, _, ..] = recordings else { return };
     let nodes: Vec<&str> = recordings.iter().map(|recording| recording.header.node.as_str()).collect();

@@ -43,7 +43,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         drop(progress);
         let found = match &result {
             Ok(report) => severity_exit(report.worst),
-            // A path that does not exist is a mistake of usage, not of the data.
+            // A path that does not exist is a mistake in the command, not damage.
             Err(_) if !path.exists() => Exit::Usage,
             Err(_) => Exit::Corrupt,
         };

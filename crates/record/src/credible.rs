@@ -50,7 +50,7 @@ impl RecordingReader {
         for (key, expected) in names {
             if let Some(found) = entries.get(key).filter(|found| *found != expected) {
                 let message = format!("its metadata states {key} {found:?}, its header {expected:?}");
-                self.problem(segment.number, None, None, message);
+                self.wrong(segment.number, message);
             }
         }
         if segment.first_trigger > MAX_TRIGGERS {
@@ -58,7 +58,7 @@ impl RecordingReader {
                 "it states that it begins at trigger {}: no session has more than {MAX_TRIGGERS}",
                 segment.first_trigger
             );
-            self.problem(segment.number, None, None, message);
+            self.wrong(segment.number, message);
         }
     }
 }

@@ -205,7 +205,7 @@ impl RecordingReader {
         for (segment, stated) in segments {
             match stated {
                 Ok(stated) if stated.is_foreign(&recording.header) => {
-                    recording.problem(segment.number, None, None, foreign_reason(&stated.header));
+                    recording.wrong(segment.number, foreign_reason(&stated.header));
                 }
                 _ => recording.add(segment, what),
             }
@@ -248,13 +248,18 @@ impl RecordingReader {
         }
     }
 
+    /// A problem of a segment as a whole.
+    pub(super) fn wrong(&mut self, segment: u32, message: impl Into<String>) {
+        self.problem(segment, None, None, message);
+    }
+
     fn add(&mut self, mut segment: SegmentReader, what: Extent) {
         let number = segment.number;
         let expected = self.segments.last().map_or(number, |last| last.number.saturating_add(1));
         if self.segments.last().is_some_and(|last| last.number == number) {
-            self.problem(number, None, None, "two files have this segment's number");
+            self.wrong(number, "two files have this segment's number");
         } else if number != expected {
-            self.problem(number, None, None, format!("expected segment {expected} here: it is missing"));
+            self.wrong(number, format!("expected segment {expected} here: it is missing"));
         }
         if let Some(file) = segment.file.take() {
             if what == Extent::Everything || !self.take_index(&mut segment, &file) {
@@ -354,7 +359,7 @@ impl RecordingReader {
     fn small_record(&mut self, segment: u32, topic: Topic, bytes: &[u8]) {
         let label = Label::of(bytes);
         if let Err(reason) = self.belonging.check(label.session) {
-            return self.problem(segment, None, None, format!("{topic:?}: {reason}"));
+            return self.wrong(segment, format!("{topic:?}: {reason}"));
         }
         if let Some(number) = label.number {
             self.numbers.insert(number);
@@ -367,7 +372,7 @@ impl RecordingReader {
             Topic::Image(_) | Topic::Other => Ok(()),
         };
         if let Err(error) = result {
-            self.problem(segment, None, None, format!("a record of {topic:?} is not readable: {error}"));
+            self.wrong(segment, format!("a record of {topic:?} is not readable: {error}"));
         }
     }
 
@@ -377,16 +382,11 @@ impl RecordingReader {
         if let Err(reason) = self.belonging.check(session)
             && marked
         {
-            return self.problem(segment.number, None, None, format!("{name}: {reason}"));
+            return self.wrong(segment.number, format!("{name}: {reason}"));
         }
         let number = |key| entries.get(key).and_then(|text: &String| text.parse::<u64>().ok());
         if is_sound(entries) == Some(false) {
-            self.problem(
-                segment.number,
-                None,
-                None,
-                format!("its metadata record {name} fails its checksum"),
-            );
+            self.wrong(segment.number, format!("its metadata record {name} fails its checksum"));
         }
         match name {
             HEADER_METADATA => match parse_header(entries) {
@@ -395,14 +395,14 @@ impl RecordingReader {
                     self.check_names(segment, entries, &stated.header);
                     if stated.number != segment.number {
                         let message = format!("its header states segment number {}", stated.number);
-                        self.problem(segment.number, None, None, message);
+                        self.wrong(segment.number, message);
                     }
                     if stated.header != self.header {
                         let message = "its header differs from that of the other segments";
-                        self.problem(segment.number, None, None, message);
+                        self.wrong(segment.number, message);
                     }
                 }
-                Err(message) => self.problem(segment.number, None, None, message),
+                Err(message) => self.wrong(segment.number, message),
             },
             SEGMENT_METADATA => segment.end_trigger = number(KEY_END_TRIGGER),
             // Of a kind that is nice to have: one that is not readable is no problem.
@@ -419,7 +419,7 @@ impl RecordingReader {
                     }
                     Err(error) => {
                         let message = format!("the stored verdict is not readable: {error}");
-                        self.problem(segment.number, None, None, message);
+                        self.wrong(segment.number, message);
                     }
                 }
             }

@@ -31,13 +31,13 @@ pub struct CameraReport {
     pub described: CameraDescription,
     /// Runs of triggers without a frame, with their cause.
     pub gaps: Vec<GapRun>,
-    /// Light of some frames, with their triggers.
+    /// Trigger and light of some frames, spread over the session.
     pub light: Vec<(u64, Light)>,
-    /// What exposure would be right, by all of those frames; none without fringes.
+    /// The exposure that would be right, by all of those frames; `None` without fringes.
     pub exposure: Option<Exposure>,
-    /// A frame of the middle, upright, PNG.
+    /// A frame from the middle of the session, upright, as PNG.
     pub picture: Option<Vec<u8>>,
-    /// Points of each reconstructed trigger.
+    /// Trigger and points of each reconstructed frame.
     pub points: Vec<(u64, u64)>,
 }
 
@@ -63,7 +63,7 @@ pub struct NodeReport {
 pub struct Report {
     /// Name of the session, that of its directory.
     pub session: String,
-    /// When it was begun, host clock, ns.
+    /// When the session was begun, host clock, ns.
     pub created_ns: u64,
     /// Pseudonym of the subject, where one was given.
     pub subject: Option<String>,
@@ -79,7 +79,7 @@ pub struct Report {
     pub unreadable: Vec<Unreadable>,
     /// Files of the result that are missing, and those left out, a sentence each.
     pub amiss: Vec<String>,
-    /// Points for the page's cloud (see [`encode`]), and of which trigger.
+    /// Trigger and points (see [`encode`]) of the cloud on the page.
     pub cloud: Option<(u64, Vec<u8>)>,
 }
 
@@ -164,7 +164,7 @@ fn samples(recording: &RecordingReader, camera: usize) -> Vec<Sample> {
 /// Trigger, name of the camera, and points of its cloud.
 type Points = (u64, String, u64);
 
-/// From `summary.json` of a reconstruction, which must be of this session.
+/// Points of all frames from `summary.json` of a reconstruction, which must be of this session.
 fn points_of(result: &Path, session: &SessionReader) -> Result<Vec<Points>, String> {
     let summary = collect_shards::load_summary(result)
         .map_err(|e| format!("{e}; expected the directory of `fourdbody reconstruct --out`"))?;
@@ -182,7 +182,7 @@ fn points_of(result: &Path, session: &SessionReader) -> Result<Vec<Points>, Stri
     Ok(frames.collect())
 }
 
-/// What was reconstructed; none where there are no clouds.
+/// The reconstructed clouds; `None` where there are none.
 fn clouds_of(result: &Path) -> Result<Option<Clouds>, String> {
     let is_there = ["phases", "clouds", "merged"].iter().any(|folder| result.join(folder).is_dir());
     is_there.then(|| Clouds::open(result)).transpose()

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use std::fmt::Write;
 use std::path::Path;
 
-/// The script that turns clouds, as the console has it.
+/// Script of the console that shows a cloud and turns it.
 const CLOUD_VIEW: &str = include_str!("../../../../web/cloud-view.js");
 const PLAYER: &str = include_str!("../../../../web/player.js");
 const STYLE: &str =
@@ -22,7 +22,7 @@ const STYLE: &str =
 /// Frame sets that are packed at a time, which bounds the memory.
 const AT_ONCE: usize = 8;
 
-/// What stands behind the page, and behind the frame sets where it plays them.
+/// End of the page, behind the frame sets where it plays them.
 pub const END: &str = "</body></html>\n";
 
 /// The frame sets that a page has, and how many points of each.
@@ -41,8 +41,8 @@ impl Playing {
     }
 
     /// Writes a script element for each, `set-TRIGGER`, in the order of triggers: the first one can be shown while the
-    /// page is still read. Its text is base64 of the packed points. `progress` hears of the frame sets that are done,
-    /// and of how many.
+    /// page is still read. Its text is base64 of the packed points. `progress` is called with the frame sets
+    /// that are done, and their number.
     pub fn write(&self, out: &mut impl std::io::Write, progress: impl Fn(u64, u64)) -> Result<(), String> {
         let triggers: Vec<u64> = self.sequence.triggers().collect();
         for (chunk, at_once) in triggers.chunks(AT_ONCE).enumerate() {
@@ -65,7 +65,7 @@ impl Playing {
     }
 }
 
-/// The page, up to [`END`]. With `playing` a player stands in it, whose frame sets are to follow.
+/// The page, up to [`END`]. With `playing` it has a player, and the frame sets follow behind it.
 pub fn render(report: &Report, playing: Option<&Playing>) -> String {
     let mut page = String::new();
     let title = escape(&report.session);
@@ -121,13 +121,13 @@ pub fn render(report: &Report, playing: Option<&Playing>) -> String {
     page
 }
 
-/// A script of the console's for a script that is no module.
+/// A module of the console as a plain script: without imports and exports.
 fn plain(module: &str) -> String {
     let lines = module.lines().filter(|line| !line.starts_with("import "));
     lines.collect::<Vec<_>>().join("\n").replace("export class", "class")
 }
 
-/// What plays the frame sets. Its script runs as soon as it is read, before the frame sets are.
+/// Adds the player of the frame sets. Its script runs as soon as it is read, before the frame sets are.
 fn player(page: &mut String, trigger_rate_hz: f64, playing: &Playing) {
     let described = playing.sequence.described(trigger_rate_hz, playing.points_each);
     // Numbers and plain texts: this cannot fail.
@@ -141,7 +141,7 @@ fn player(page: &mut String, trigger_rate_hz: f64, playing: &Playing) {
     );
 }
 
-/// Dates in the reader's own time.
+/// Script that shows dates in the reader's own time zone.
 const DATES: &str = r#"
 for (const time of document.querySelectorAll("time")) time.textContent = new Date(Number(time.dataset.ns) / 1e6).toLocaleString([], { timeZoneName: "short" });
 "#;
@@ -158,7 +158,7 @@ const root = document.getElementById("player");
 const player = new Player(root, new PageSource(JSON.parse(root.dataset.described)));
 "#;
 
-/// The session in a word, and how good that is.
+/// The verdict on the session in a word, and its class of colour.
 fn verdict(report: &Report) -> (&'static str, &'static str) {
     let of_node = |node: &NodeReport| Some(node.verdict.as_ref()?.status);
     let statuses: Option<Vec<Status>> = report.nodes.iter().map(of_node).collect();
@@ -246,7 +246,7 @@ fn camera_box(page: &mut String, camera: &CameraReport) {
     }
     if let Some(grade) = worst(|light| light.grades().saturated) {
         let share = mean(|light| 100.0 * light.saturated);
-        let _ = write!(page, "<br><span class=\"{}\">saturated {share:.2} %</span>", class(grade));
+        let _ = write!(page, "<br><span class=\"{}\">overexposed {share:.2} %</span>", class(grade));
     }
     if let Some(exposure) = &camera.exposure {
         let _ = write!(page, "<br>right exposure: {exposure}");
@@ -259,7 +259,7 @@ fn camera_box(page: &mut String, camera: &CameraReport) {
     page.push_str("</figcaption></figure>");
 }
 
-/// Points over the session, 100 x 20.
+/// A curve of points over the session, 100 x 20 units.
 fn sparkline(counts: &[u64], most: u64) -> String {
     let last = counts.len().saturating_sub(1).max(1) as f64;
     let at = |(i, count): (usize, &u64)| {
@@ -309,7 +309,7 @@ fn class(grade: Grade) -> &'static str {
     }
 }
 
-/// For HTML text and attributes.
+/// Escapes a text for HTML text and attributes.
 fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {

@@ -33,7 +33,7 @@ impl Outcome {
     }
 }
 
-/// As the accounting does it: frames wait in a queue, and are asked for again at every news.
+/// As the accounting does it: frames wait in a queue, and are offered again with every new report, frame or reading.
 struct Player {
     matcher: Matcher,
     table: TriggerTable,
@@ -41,7 +41,7 @@ struct Player {
     /// With its true trigger, whether it is a copy, and since when it waits.
     pending: VecDeque<(Sighting, Option<i64>, bool, u64)>,
     period_ns: u64,
-    /// Readings of the camera's clock that were asked for, with when they are there, HSU clock, ns.
+    /// Requested readings of the camera's clock, each with the time at which it is made, HSU clock, ns.
     readings: VecDeque<(u64, Exchange)>,
     random: history::Random,
     outcome: Outcome,
@@ -322,7 +322,7 @@ fn a_busy_host_costs_frames_beside_faults_and_files_none_wrongly() {
 }
 
 /// Without faults, on a host that takes four frames of ten up late: counter and clock are two witnesses, and lateness
-/// says nothing against them. Without timestamps the arrivals must show the rhythm of the warm-up.
+/// is no evidence against them. Without timestamps the arrivals must show the rhythm of the warm-up.
 #[test]
 fn a_busy_host_takes_no_frame_from_a_camera_with_timestamps() {
     let (mut stamped, mut unstamped) = (Outcome::default(), Outcome::default());

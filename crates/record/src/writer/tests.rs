@@ -187,8 +187,8 @@ proptest! {
         left.store(1 << 20, Ordering::Relaxed);
         let verdict = match recording.finish(end(triggers)) {
             Ok(verdict) => verdict,
-            // The disk was full just while a split segment got its index, behind its last frame: the caller is
-            // told, and all frames that the accounting counts are readable.
+            // The disk was full just while a split segment got its index, behind its last frame: the caller gets
+            // the error, and all frames that the accounting counts are readable.
             Err(RecordError::Unfinished { verdict, .. }) => {
                 prop_assert_eq!(readable_frames(&path, triggers), verdict.frames());
                 return Ok(());

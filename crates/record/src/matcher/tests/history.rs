@@ -81,7 +81,7 @@ pub struct Report {
     pub hsu_ns: u64,
     /// Whether the HSU flags it as late.
     pub late: bool,
-    /// When the link's thread heard it, HSU clock, ns.
+    /// When the link's thread received it, HSU clock, ns.
     pub heard_ns: u64,
 }
 
@@ -395,7 +395,7 @@ impl History {
         Self { traits, period_ns, warm_up: warm_up as u32, calm_start, link_stands, clocks, ppm, arrivals }
     }
 
-    /// A reading of the camera's clock at an HSU time, taking so long there and back.
+    /// A reading of the camera's clock at an HSU time, with its round trip.
     pub fn read(&self, hsu_ns: u64, there_ns: u64, back_ns: u64) -> Exchange {
         let host = |ns: u64| (i128::from(ns) + HOST_MINUS_HSU_NS) as u64;
         let clock_ns = self.clocks.iter().rev().find(|(from, _)| *from <= hsu_ns).map_or(0, |(_, ns)| *ns);

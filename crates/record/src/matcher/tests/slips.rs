@@ -62,7 +62,7 @@ impl Plan {
         let from = self.slips.first().map_or(0, |slip| slip.from);
         let behind = match self.before {
             Before::Ignored(count) => count.min(from + 8),
-            // Of what is lost before the first frame nobody knows.
+            // What is lost before the first frame cannot be known.
             Before::Lost(count) if from - count <= -8 => from + 8,
             _ => 0,
         };

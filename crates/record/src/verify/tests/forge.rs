@@ -59,7 +59,7 @@ fn relabel(frames: &mut Frames, triggers: &Range<i64>, by: i64) {
     }
 }
 
-/// All triggers and frames of a recording stand so many later.
+/// Moves all triggers and frames of a recording by a number of triggers.
 pub fn relabel_all(take: &mut Take, by: i64) {
     take.frames.iter_mut().for_each(|frames| relabel(frames, &(0..i64::MAX), by));
     let mut rows = take.rows.clone();
@@ -164,8 +164,8 @@ fn of_frames(all: &mut Vec<Forgery>) {
                 frames(take, camera, &own, |seen| seen.host_ns = moved(seen.host_ns, -3_000_000_000))
             };
             add(format!("arrivals 3 s early, {duration}"), camera, &triggers, Box::new(forge));
-            // Ids and stamps say so, and the labels are those of the next trigger: it came before that was fired, or
-            // earlier than any.
+            // Ids and stamps agree with it, and the labels are those of the next trigger: it came before that was
+            // fired, or earlier than any.
             let own = triggers.clone();
             let forge = move |take: &mut Take| {
                 frames(take, camera, &own, |seen| {
@@ -216,7 +216,7 @@ fn of_frames(all: &mut Vec<Forgery>) {
             add(format!("two cameras exchanged, {duration}"), 0, &triggers, Box::new(swapped));
         }
     }
-    // Ids do not say which camera they are of: frames, warm-up and all, under each other's names; the clocks' readings
+    // Ids do not name their camera: frames, warm-up and all, under each other's names; the clocks' readings
     // stay.
     let swapped = |take: &mut Take| {
         take.frames.swap(0, 3);

@@ -77,10 +77,10 @@ pub const CAMERAS: [Habits; 4] = [
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Happens {
     Nothing,
-    /// The host stands still now and then, for so many ms at most; or the threads of each camera for themselves.
+    /// The host stands still now and then, for at most this many ms; or the threads of each camera by themselves.
     Pauses(i64),
     PausesOfEach(i64),
-    /// Packets are taken off the sockets every so many ms.
+    /// Time between two reads of the sockets, ms.
     Batches(i64),
     /// Frames are lost on the way; or triggers ignored, in rows.
     Lost,
@@ -98,16 +98,16 @@ pub enum Happens {
     Away,
     /// Frames are given up, and ids stand elsewhere behind them.
     GivenUp,
-    /// The HSU is late, and says so.
+    /// The HSU is late with some triggers, and flags them.
     Late,
-    /// Reports are held up by so many ms.
+    /// Time by which reports are held up, ms.
     ReportsHeldUp(i64),
     RowsLost,
     /// The camera takes every second trigger; wakes up behind the warm-up; misses trigger 0.
     EverySecond,
     WakesLate(i64),
     MissesFirst,
-    /// The recording begins so many triggers behind the warm-up.
+    /// The recording begins this many triggers behind the warm-up.
     BeforeRecord(i64),
     Endless,
 }
@@ -343,7 +343,7 @@ impl Model {
             at + ahead + (at - FIRST) * habits.ppm / 1_000_000
         };
         let (mut id, mut latest) = (habits.id, 0);
-        // Something happens at these triggers, far enough apart to be told.
+        // Something happens at these triggers, far enough apart to be distinguished.
         let strikes: Vec<i64> = (0..4).map(|n| 20 + 55 * n + self.random.below(20)).collect();
         let (mut skip, mut back) = (0i64, false);
         for index in 0..self.fired.len() {
