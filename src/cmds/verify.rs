@@ -12,12 +12,12 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 #[command(after_help = "\
 Prints one line per finding, then a line per node. Exit code 0: every frame is there and good; 3: frames are
-missing, and the recording says which and why, or something is unconfirmed; 4: damaged, missing without a word, or
-contradicting itself. Unconfirmed is what one source alone says, a setting that changed, and exposures that were not at
-the time of the others.
+missing, and the recording states which and why, or something is unconfirmed; 4: damaged, missing without a record of
+it, or contradictory. Unconfirmed: what rests on one source alone, a setting that changed, and exposures that were not
+at the time of the others.
 
-Which trigger a frame is of is found again from the raw samples: block ids, timestamps by the recorded readings of the
-clocks, arrivals, and the HSU's trigger times. Two of them that are independent must agree.
+The trigger of each frame is determined again from the raw samples: block ids, timestamps by the recorded readings of
+the clocks, arrivals, and the HSU's trigger times. Two of them that are independent must agree.
 
 The nodes of a session are compared with each other: in one session's directory, or as a path each.
 
@@ -33,7 +33,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
+/// Verifies each path; returns the worst exit code.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut exit = Exit::Done;
     let mut reports = Vec::new();
@@ -43,7 +43,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         drop(progress);
         let found = match &result {
             Ok(report) => severity_exit(report.worst),
-            // A path that does not exist is a mistake of usage, not of the data.
+            // A path that does not exist is a mistake in the command, not damage.
             Err(_) if !path.exists() => Exit::Usage,
             Err(_) => Exit::Corrupt,
         };
@@ -91,24 +91,25 @@ fn print(report: &Report) {
     }
     let word = match report.worst {
         None | Some(Severity::Note) if report.single_segment => {
-            "every checksum is right; of a single segment no more is checked"
+            "every checksum is right; more cannot be checked of a single segment"
         }
         None | Some(Severity::Note) if report.imported => {
-            "every checksum and every count is right; which trigger an image is of rests on file names"
+            "every checksum and every count is right; only the file names show which trigger an image is of"
         }
         None | Some(Severity::Note) => {
             "good: every checksum and every count is right, and two sources agree on each frame's trigger"
         }
         Some(Severity::Unconfirmed) => {
-            "unconfirmed: every checksum and every count is right, but not everything is confirmed: see the lines above \
-             that begin with this word"
+            "unconfirmed: every checksum and every count is right, but not everything is confirmed: see the lines \
+             above that begin with this word"
         }
         Some(Severity::Loss) if report.is_unconfirmed() => {
             "data loss; and not everything is confirmed: see the lines above that begin with `unconfirmed`"
         }
         Some(Severity::Loss) => "data loss, all of it accounted for",
         Some(Severity::Corrupt) => {
-            "CORRUPT: damaged, missing without a record, or contradicting itself; see above"
+            "CORRUPT: files are damaged or incomplete, or contradict each other, see above; run `fourdbody recover \
+             PATH --out DIR` to save what is whole"
         }
     };
     println!("{}: {word}", one_line(report.path.display()));

@@ -142,7 +142,7 @@ fn a_trigger_far_behind_all_others_costs_no_more_than_its_file() {
     for (arguments, expected) in [(&["verify", &shown][..], Some(4)), (&["info", &shown], Some(0))] {
         let (code, text) = run(arguments);
         assert_eq!(code, expected, "{arguments:?}: {text}");
-        assert_contains(&text, &["so many triggers are not in a recording of"]);
+        assert_contains(&text, &["bytes cannot have that many triggers"]);
     }
     let (_, text) = run(&["export", &shown, "--to", "png", "--out", &out]);
     assert!(text.len() < 1 << 20, "{} bytes of complaints", text.len());
@@ -172,7 +172,7 @@ fn a_recording_without_triggers_is_the_same_to_recover_and_to_verify() {
     assert_contains(&verified.1, &["interrupted before the first trigger"]);
 }
 
-/// A header that nobody can read is made anew from the frames: the result is what `verify` accepts, and says what it rests on.
+/// A header that nobody can read is rebuilt from the frames: the result is what `verify` accepts, and says what it rests on.
 #[test]
 fn a_header_made_anew_is_accepted_by_verify() {
     let dir = quick_dir();

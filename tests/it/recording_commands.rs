@@ -59,8 +59,8 @@ fn info_describes() {
         &[
             "walk-01",
             "20 at 120 Hz (0.16 s)",
-            "h0_up                     40 x 30        19       1       0  -            test",
-            "gap         1 missing_packets, the first at trigger 4",
+            "h0_up   40 x 30  19      1     0       -        test",
+            "gap         h0_up: 1 missing_packets, the first at trigger 4",
             "segment-000.mcap",
             "table       20 rows",
             "incomplete: 20 triggers",

@@ -264,7 +264,7 @@ fn a_verdict_that_does_not_follow_from_the_records_is_found() {
     edited[at + stored.len() - 2] -= 1;
     let dir = tempfile::tempdir().expect("a temporary directory");
     let report = verify(&as_recording(dir.path(), &edited), &|_, _| ()).expect("readable");
-    assert!(report.findings.iter().any(|f| f.message.contains("stored verdict is not what the records say")));
+    assert!(report.findings.iter().any(|f| f.message.contains("stored verdict differs from the records")));
     let counted: &Verdict = &report.recordings[0].verdict;
     assert_eq!(counted.frames(), TRIGGERS * CAMERAS.len() as u64);
 }

@@ -69,7 +69,7 @@ fn every_mismatch_has_a_finding_of_its_own() {
         (|h| h.session_id = "another".to_owned(), "the session's id is another, but 5f0c on node a"),
         (|h| h.session = "walk-02".into(), "the session's name is walk-02, but walk-01 on node a"),
         (|h| h.trigger_rate_hz = 60.0, "the trigger rate is 60, but 120 on node a"),
-        (|h| h.expected_triggers = None, "the number of triggers asked for is until stop, but 24 on node a"),
+        (|h| h.expected_triggers = None, "the number of triggers requested is until stop, but 24 on node a"),
         (
             |h| h.hsu.as_mut().expect("an HSU").uid = "hsu-2".to_owned(),
             "the HSU is hsu-2, but hsu-1 on node a",
@@ -212,7 +212,7 @@ fn a_node_broken_off_without_the_count_is_loss_whichever_it_is() {
         let text = texts(&report);
         assert_eq!(report.worst, Some(Severity::Loss), "{text}");
         let expected = format!(
-            "loss: node {lost} triggers 18 to 23: no outcomes: it was broken off and has not the HSU's count (the link to \
+            "loss: node {lost} triggers 18 to 23: no outcomes: it was aborted and does not have the HSU's count (the link to \
              the HSU is lost); node {whole} has 24 triggers"
         );
         assert!(text.contains(&expected), "{expected:?} missing in\n{text}");

@@ -129,7 +129,7 @@ fn every_trigger_has_the_code_that_was_played_or_none() {
     assert_contains(&said, &["time code   09:59:5", "in 2 pieces; ", "triggers have one"]);
     let page = dir.path().join("page.html").display().to_string();
     fourdbody(&["report", &session.display().to_string(), "--out", &page]);
-    assert_contains(&std::fs::read_to_string(page).expect("a page"), &["Time code 09:59:5"]);
+    assert_contains(&std::fs::read_to_string(page).expect("a page"), &["<dt>time code</dt><dd>09:59:5"]);
 
     // A session in silence says so, and a session that time code would start is refused.
     let next = ["capture", "--nodes", &laboratory.urls(), "--triggers", "5", "--name"];

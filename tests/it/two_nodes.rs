@@ -87,7 +87,7 @@ fn half_a_rig_is_asked_for_by_name_and_is_never_called_complete() {
     );
     let verified = fourdbody(&["verify", &session.display().to_string()]);
     assert_eq!(verified.status.code(), Some(0), "{}", text_of(&verified));
-    assert_contains(&text_of(&verified), &["node b", "was not asked to take part"]);
+    assert_contains(&text_of(&verified), &["node b", "does not take part"]);
     let told = capture("told", &["--partial", "--json"]);
     let json: Value = serde_json::from_slice(&told.stdout).expect("JSON");
     assert_eq!((&json["verdict"], &json["not_asked"]), (&"partial".into(), &json!(["b"])));

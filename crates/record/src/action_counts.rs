@@ -1,25 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What became of the action commands of a camera, in numbers and as its event has it.
+//! Results of a camera's action commands, as numbers and as the text of its event.
 
 use super::layout::NodeEvent;
 use serde::Serialize;
 use std::fmt;
 
-/// Kind of the events whose message counts what became of a camera's action commands.
+/// Kind of the events whose message counts the results of a camera's action commands.
 pub const ACTION_COMMANDS: &str = "action_commands";
 
 /// Counts of one camera; those of the warm-up are among them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct ActionCounts {
-    /// Commands sent.
     pub sent: u64,
-    /// Those that the camera took in time.
+    /// Commands that the camera took in time.
     pub acknowledged: u64,
-    /// Those that it took after their time.
+    /// Commands that it took after their time.
     pub late: u64,
-    /// Those that it refused.
     pub refused: u64,
-    /// Those that it did not answer.
+    /// Commands that it did not answer.
     pub unanswered: u64,
     /// Triggers without a command: this host's network refused it, or the cameras' clock was not known.
     pub not_sent: u64,
@@ -31,7 +29,7 @@ impl ActionCounts {
         self.acknowledged == self.sent && self.not_sent == 0
     }
 
-    /// As an event counts them.
+    /// The counts in an event; `None` for other kinds.
     pub fn of(event: &NodeEvent) -> Option<Self> {
         let message = event.message.strip_suffix(" not sent").filter(|_| event.kind == ACTION_COMMANDS)?;
         let mut numbers = message.split([' ', ',']).filter_map(|word| word.parse().ok());

@@ -1,16 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the pattern of a camera's outcomes shows of their cause, and what to do about it.
+//! The cause that the pattern of a camera's outcomes shows, and what to do about it.
 //!
 //! A gap record names the cause of one trigger. A camera that takes every second trigger, or wakes up late, shows it in
 //! the order of its gaps alone.
 
 use super::layout::GapCause;
-use super::reader::{Outcome, RecordingReader};
 use super::verdict::CameraVerdict;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 
-/// Lines for people. They are words, not figures: another version may use others for the same, and so all are equal.
+/// Lines of advice. They are text, not figures: another version may word them in another way, and so all are equal.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Advice(pub Vec<String>);
@@ -29,39 +27,17 @@ impl Advice {
         self.0.is_empty()
     }
 
-    /// Of a recording, by the outcomes in its files.
-    pub(crate) fn of_recording(recording: &RecordingReader) -> Self {
-        let rhythm = |outcomes: &BTreeMap<u64, Outcome>| {
-            let mut rhythm = Rhythm::default();
-            for (trigger, outcome) in outcomes {
-                match outcome {
-                    Outcome::Frame { .. } => rhythm.frame(*trigger),
-                    Outcome::Gap(cause) => rhythm.gap(*trigger, *cause),
-                }
-            }
-            rhythm
-        };
-        let counted = recording.counted();
-        Self::of(recording.outcomes.iter().map(rhythm).collect::<Vec<_>>().iter().zip(&counted))
-    }
-
-    /// Of cameras, by their rhythm and their counts.
+    /// The advice on cameras, by their rhythm and their counts.
     pub(crate) fn of<'a>(cameras: impl Iterator<Item = (&'a Rhythm, &'a CameraVerdict)>) -> Self {
         Self(cameras.filter_map(|(rhythm, counts)| rhythm.advice(counts)).collect())
     }
 }
 
-/// Enters into a recording's verdict what its outcomes show.
-pub(super) fn advise(recording: &mut RecordingReader) {
-    let advice = Advice::of_recording(recording);
-    recording.verdict.iter_mut().for_each(|verdict| verdict.advice.clone_from(&advice));
-}
-
-/// Distances that are counted one by one; longer ones together.
+/// Distances from 1 to below this number are counted one by one, longer ones together.
 const DISTANCES: usize = 9;
-/// Distances below which a rhythm may be chance.
+/// Distances that a rhythm needs: fewer may be regular by chance.
 const ENOUGH: u64 = 5;
-/// A camera that has none of this number of triggers did not wake up late: it was not there.
+/// Triggers without a frame at the beginning beyond which a camera did not wake up late, but was absent.
 const LATEST: u64 = 1000;
 
 /// Distances between triggers of one kind, as far as they come in order.
@@ -71,9 +47,8 @@ struct Distances {
     last: Option<u64>,
     count: u64,
     sum: u64,
-    /// Of their squares.
     squares: u128,
-    /// By distance; at 0 those that are longer.
+    /// Counts by distance; at 0 those of longer ones.
     of: [u64; DISTANCES],
 }
 
@@ -128,7 +103,7 @@ impl Rhythm {
         }
     }
 
-    /// What the rhythm shows of these counts; `None` where it shows nothing.
+    /// The advice that rhythm and counts give; `None` where they give none.
     fn advice(&self, counts: &CameraVerdict) -> Option<String> {
         let of = |causes: &[GapCause]| -> u64 {
             causes.iter().filter_map(|cause| counts.gaps.get(cause)).fold(0, |sum, n| sum.saturating_add(*n))
@@ -144,9 +119,9 @@ impl Rhythm {
             };
             if let Some(evenly) = evenly {
                 return Some(format!(
-                    "{id} {evenly}: its exposure and readout are longer than the trigger period, or a trigger may not come \
-                     during readout (TriggerOverlap is off); shorten exposure_us or set overlap = true in the node file, or \
-                     lower trigger_rate_hz in the rig file"
+                    "{id} {evenly}: its exposure and readout are longer than the trigger period, or a trigger may not \
+                     come during readout (TriggerOverlap is off); shorten exposure_us or set overlap = true in the \
+                     node file, or lower trigger_rate_hz in the rig file"
                 ));
             }
         }
@@ -163,13 +138,13 @@ impl Rhythm {
         };
         Some(if unknown * 2 > first {
             format!(
-                "{id} sent frames of {none}, and too little was heard of the warm-up to know which were which; raise \
+                "{id} sent frames of {none}, but too few frames of the warm-up arrived to know their triggers; raise \
                  warm_up_triggers in the rig file"
             )
         } else {
             format!(
-                "{id} has no frame of {none} and those behind: it woke up late; raise warm_up_triggers in the rig file by at \
-                 least {first}"
+                "{id} has no frame of {none} and those behind: it woke up late; raise warm_up_triggers in the rig file \
+                 by at least {first}"
             )
         })
     }
@@ -249,7 +224,7 @@ mod tests {
         }
         let unknown = |trigger: u64| (trigger < 9).then_some(GapCause::IdentityMismatch);
         let said = advice(120, unknown).expect("late");
-        assert!(said.contains("heard of the warm-up") && !said.contains("woke"), "{said}");
+        assert!(said.contains("frames of the warm-up") && !said.contains("woke"), "{said}");
     }
 
     #[test]

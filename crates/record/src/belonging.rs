@@ -2,7 +2,7 @@
 //! Which session a record is of: a mark in every one, so that a block of the disk which still holds an earlier session
 //! is never taken for this one, whole as it may be.
 
-use super::layout::{KEY_SESSION, RecordingHeader};
+use super::layout::{Entries, KEY_SESSION, RecordingHeader};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use std::fmt;
@@ -15,7 +15,7 @@ const FIRST_VERSION: u32 = 2;
 pub struct SessionMark(pub u64);
 
 impl SessionMark {
-    /// Of a session's id; an empty one is not known, and marks nothing.
+    /// The mark of a session's id; none for an empty id, which is not known.
     pub fn of(session_id: &str) -> Option<Self> {
         let digest = Sha256::digest(session_id.as_bytes());
         let first = digest.first_chunk().filter(|_| !session_id.is_empty())?;
@@ -29,10 +29,9 @@ impl fmt::Display for SessionMark {
     }
 }
 
-/// What a small record says besides its own fields.
+/// The fields of a small record that show where it belongs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Label {
-    /// Its session.
     pub session: Option<SessionMark>,
     /// Its number among the small records of the recording, from 0.
     pub number: Option<u64>,
@@ -46,14 +45,14 @@ struct Fields<'a> {
 }
 
 impl Label {
-    /// Of a small record's JSON.
+    /// Reads the fields from a small record's JSON.
     pub fn of(json: &[u8]) -> Self {
         let Ok(fields) = serde_json::from_slice::<Fields<'_>>(json) else { return Self::default() };
         Self { session: fields.session.and_then(parse), number: fields.n }
     }
 
     /// The mark in the entries of a metadata record.
-    pub fn of_entries(entries: &super::scan::Entries) -> Self {
+    pub fn of_entries(entries: &Entries) -> Self {
         Self { session: entries.get(KEY_SESSION).and_then(|text| parse(text)), number: None }
     }
 
@@ -75,7 +74,7 @@ fn parse(text: &str) -> Option<SessionMark> {
     u64::from_str_radix(text, 16).ok().filter(|_| text.len() == 16).map(SessionMark)
 }
 
-/// What the records of a recording have to say about their session.
+/// The mark that the records of a recording must have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Belonging {
     /// Their mark; `None` where the session's id is not known: then nothing is checked.
@@ -85,14 +84,8 @@ pub(crate) struct Belonging {
 }
 
 impl Belonging {
-    /// By the recording's header.
     pub fn of(header: &RecordingHeader, version: u32) -> Self {
         Self { own: SessionMark::of(&header.session_id), version }
-    }
-
-    /// Whether the records prove their session at all.
-    pub fn is_witnessed(&self) -> bool {
-        self.written().is_some()
     }
 
     /// The mark that a recording of this version writes.
@@ -110,7 +103,7 @@ impl Belonging {
         }
     }
 
-    /// Says what is wrong with a record that [`Self::admits`] refuses.
+    /// As [`Self::admits`], with an error that names both marks.
     pub fn check(&self, found: Option<SessionMark>) -> Result<(), String> {
         let shown = |mark: Option<SessionMark>| mark.map_or("none".to_owned(), |mark| mark.to_string());
         if self.admits(found) {

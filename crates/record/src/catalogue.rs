@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A session on a node's disk, at a glance: what an operator chooses from, and the worker waits for.
+//! A session on a node's disk in short: the entry of the console's list, which the worker reads, too.
 //!
-//! Of a recording only the header of its first segment and the summary of its last are looked at.
+//! Of a recording only the header of its first segment and the summary of its last are read.
 
+use super::files::{RecordingFiles, find, node_dir, unfinished};
 use super::layout::{KEY_JSON, VERDICT_METADATA};
 use super::metadata::read_header;
 use super::remark::Remark;
 use super::scan::metadata_by_index;
 use super::segment_file::SegmentFile;
-use super::session::{RecordingFiles, find, node_dir, unfinished};
 use super::verdict::Verdict;
 use crate::base::ids::NodeId;
 use serde::{Deserialize, Serialize};
@@ -23,25 +23,25 @@ pub struct CatalogueEntry {
     pub name: String,
     /// The id that all recordings of a session share, hexadecimal; `None` where the header cannot be read.
     pub session_id: Option<String>,
-    /// The recording's directory.
+    /// Directory of this node's recording of the session.
     #[cfg_attr(feature = "schema", schema(value_type = String))]
     pub path: PathBuf,
-    /// Its size, bytes.
+    /// Size of all its segments together, bytes.
     pub bytes: u64,
     /// When it was begun, host clock, ns; where that cannot be read, when its directory was made.
     pub created_ns: u64,
-    /// Triggers per second.
+    /// Triggers per second; `None` where the header cannot be read.
     pub trigger_rate_hz: Option<f64>,
-    /// Cameras of this node.
+    /// Names of the cameras that this node records.
     pub cameras: Vec<String>,
-    /// Pseudonymous.
+    /// Pseudonym of the subject, where one was given.
     pub subject: Option<String>,
-    /// Free text.
+    /// Free text that was given when the session was started.
     pub note: Option<String>,
-    /// What people think of it, once they have said so.
+    /// Rating and note of the operator, where they were given.
     #[serde(default)]
     pub remark: Option<Remark>,
-    /// What it amounts to; `None` when it was not finished.
+    /// The stored verdict; `None` when the recording was not finished.
     pub verdict: Option<Verdict>,
     /// Why it counts as unfinished, or what is wrong with it.
     pub problem: Option<String>,
@@ -89,7 +89,7 @@ fn describe(path: PathBuf, made: SystemTime) -> CatalogueEntry {
 fn read(entry: &mut CatalogueEntry, files: &RecordingFiles) {
     let sizes = files.segments.iter().filter_map(|(_, path)| std::fs::metadata(path).ok());
     entry.bytes = sizes.map(|metadata| metadata.len()).sum();
-    // All segments have the same header: the first one that can be read tells.
+    // All segments have the same header: the first one that can be read is used.
     for (_, path) in &files.segments {
         let named = |reason: String| format!("{}: {reason}", path.display());
         match SegmentFile::open(path)

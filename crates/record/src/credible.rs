@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a recording may claim: numbers that its bytes cannot hold are named, and cost nothing.
 
-use super::layout::{MAX_TRIGGERS, RecordingHeader};
+use super::layout::{Entries, MAX_TRIGGERS, RecordingHeader};
 use super::reader::{RecordingReader, SegmentReader};
-use super::scan::Entries;
 use crate::base::ids::TriggerIndex;
 
-/// Triggers that are credible for as many bytes: each of them left a frame or a gap record, or its records in a segment of
-/// which the others tell. So what is read or written for a recording stays within its size.
+/// Triggers that are credible for as many bytes: each of them left a frame or a gap record, or its records in a segment
+/// of which the others have records. So what is read or written for a recording stays within its size.
 pub(super) fn most_triggers(bytes: u64) -> u64 {
     const FLOOR: u64 = 1 << 16;
     const BYTES_EACH: u64 = 64;
@@ -17,7 +16,7 @@ pub(super) fn most_triggers(bytes: u64) -> u64 {
 impl RecordingReader {
     /// Leaves out what lies so far behind the beginning that its bytes cannot hold the outcomes between, and names it.
     pub(super) fn leave_out_the_incredible(&mut self) {
-        let bytes: u64 = self.segments.iter().map(|segment| segment.length() as u64).sum();
+        let bytes = self.bytes();
         let start = self.segments.iter().map(|segment| segment.first_trigger).min().unwrap_or(0);
         let end = start.min(MAX_TRIGGERS).saturating_add(most_triggers(bytes));
         let last = self.triggers_end();
@@ -25,7 +24,7 @@ impl RecordingReader {
             return;
         };
         let message = format!(
-            "records of triggers {end} to {} are left out: so many triggers are not in a recording of {bytes} bytes",
+            "records of triggers {end} to {} are left out: a recording of {bytes} bytes cannot have that many triggers",
             last - 1
         );
         self.problem(segment, None, Some(last - 1), message);
@@ -36,7 +35,7 @@ impl RecordingReader {
         }
     }
 
-    /// What a segment's metadata says beside its header: the same names, and triggers that a session can have.
+    /// Checks what a segment's metadata states beside its header: the same names, and triggers that a session can have.
     pub(super) fn check_names(
         &mut self,
         segment: &SegmentReader,
@@ -50,8 +49,8 @@ impl RecordingReader {
         ];
         for (key, expected) in names {
             if let Some(found) = entries.get(key).filter(|found| *found != expected) {
-                let message = format!("its metadata says {key} {found:?}, its header {expected:?}");
-                self.problem(segment.number, None, None, message);
+                let message = format!("its metadata states {key} {found:?}, its header {expected:?}");
+                self.wrong(segment.number, message);
             }
         }
         if segment.first_trigger > MAX_TRIGGERS {
@@ -59,7 +58,7 @@ impl RecordingReader {
                 "it states that it begins at trigger {}: no session has more than {MAX_TRIGGERS}",
                 segment.first_trigger
             );
-            self.problem(segment.number, None, None, message);
+            self.wrong(segment.number, message);
         }
     }
 }

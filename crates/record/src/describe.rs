@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a recording is, for people: outcomes per camera, events by kind, clocks, segments, and what is missing.
+//! Descriptions of a recording: outcomes per camera, events by kind, clocks, segments, and what is missing.
 //!
 //! Nothing is checked here that opening a recording does not check; that is [`super::verify`].
 
 mod actions;
+mod sheet;
 
 pub use actions::{ActionDescription, PtpDescription, actions, ptp};
+pub use sheet::{Sheet, Table};
 
 use super::layout::{CameraHeader, ClockSample, GapCause};
 use super::reader::{Outcome, RecordingReader, SegmentReader};
@@ -19,13 +21,12 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Samples that the residual of a clock fit is computed from: the last ones, which the fit's window covers.
 const RESIDUAL_SAMPLES: usize = 60;
 
-/// One camera's outcomes.
+/// Outcomes and settings of one camera.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CameraDescription {
-    /// As the header describes it: name (`id`), size, device, settings.
+    /// The camera in the recording's header: name (`id`), size, device, settings.
     #[serde(flatten)]
     pub header: CameraHeader,
-    /// Triggers with a frame.
     pub frames: u64,
     /// Triggers with a gap record, by cause.
     pub gaps: BTreeMap<GapCause, u64>,
@@ -33,22 +34,19 @@ pub struct CameraDescription {
     pub first_gaps: BTreeMap<GapCause, u64>,
     /// Triggers of the session without any outcome: the recording was interrupted, or is damaged.
     pub absent: u64,
-    /// The first of them.
+    /// The first trigger without an outcome.
     pub first_absent: Option<u64>,
 }
 
-/// Events of one kind.
+/// All events of one kind, with the first of them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct EventKind {
-    /// The kind.
     pub kind: String,
-    /// How many there are.
     pub count: u64,
     /// The lowest trigger that one of them names.
     pub first_trigger: Option<u64>,
     /// Host time of the first one, ns.
     pub first_host_time_ns: u64,
-    /// The first one's message.
     pub first_message: String,
 }
 
@@ -57,9 +55,8 @@ pub struct EventKind {
 pub struct TimeCodeDescription {
     /// That of the first trigger that has one.
     pub first: Option<String>,
-    /// Of the last trigger that has one.
+    /// That of the last trigger that has one.
     pub last: Option<String>,
-    /// Triggers that have one.
     pub triggers: u64,
     /// Rows of codes of which each follows the one before.
     pub runs: usize,
@@ -71,7 +68,7 @@ impl std::fmt::Display for TimeCodeDescription {
         let runs = if *runs == 1 { "without a jump".to_owned() } else { format!("in {runs} pieces") };
         match first.as_ref().zip(last.as_ref()) {
             Some((first, last)) => write!(f, "{first} to {last}, {runs}; {triggers} triggers have one"),
-            None => write!(f, "heard {runs}, and at no trigger"),
+            None => write!(f, "received {runs}, but at no trigger"),
         }
     }
 }
@@ -81,15 +78,14 @@ impl std::fmt::Display for TimeCodeDescription {
 pub struct ClockDescription {
     /// The camera; `None` for the HSU.
     pub camera: Option<CameraId>,
-    /// Recorded exchanges.
     pub samples: u64,
-    /// Exchanges that the fit knows of.
+    /// Exchanges that the fit uses.
     pub used: u64,
     /// Exchanges that contradict the others and were left out.
     pub left_out: u64,
-    /// How often the device's clock was set anew.
+    /// How often the device's clock was set.
     pub resets: u64,
-    /// Shortest round trip, ns.
+    /// Shortest time from request to answer, host clock, ns.
     pub round_trip_min_ns: u64,
     /// Device's clock minus host's clock at the last exchange, ns.
     pub offset_ns: Option<i64>,
@@ -97,22 +93,21 @@ pub struct ClockDescription {
     pub skew_ppm: Option<f64>,
     /// Median distance of the last exchanges' midpoints from the fit, ns.
     pub residual_ns: Option<u64>,
-    /// What the exchanges leave open at the last one, half width, ns.
+    /// Uncertainty of the offset at the last exchange, half width, ns.
     pub uncertainty_ns: Option<u64>,
 }
 
-/// One segment.
+/// One segment of a recording, as its file has it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct SegmentDescription {
-    /// Its number.
     pub number: u32,
-    /// Its file.
     pub path: std::path::PathBuf,
-    /// Its length.
+    /// Length of the file when it was opened, bytes.
     pub bytes: u64,
     /// First trigger that belongs to it.
     pub first_trigger: u64,
-    /// First trigger that belongs to the next one, as it says; not known in the last one and in one that is not closed.
+    /// First trigger of the next segment, as this one states it; not known in the last one and in one that is not
+    /// closed.
     pub end_trigger: Option<u64>,
     /// One more than the highest trigger of which it has a frame.
     pub frames_end: Option<u64>,
@@ -173,7 +168,7 @@ pub fn events(recording: &RecordingReader) -> Vec<EventKind> {
     kinds.into_values().collect()
 }
 
-/// The time code; `None` where none was heard.
+/// The time code; `None` where none was received.
 pub fn time_code(recording: &RecordingReader) -> Option<TimeCodeDescription> {
     let line = TimeCodeLine::of(&recording.events);
     let runs: BTreeSet<u64> = line.heard().map(|heard| heard.run).collect();
@@ -205,7 +200,7 @@ fn clock(device: Option<&CameraId>, samples: &[ClockSample]) -> Option<ClockDesc
         .collect();
     let last = exchanges.last()?;
     let mut fit = ClockFit::new();
-    // Of the exchanges before the clock was set anew the fit knows nothing any more.
+    // The fit has dropped the exchanges before the clock was set.
     let mut since = 0;
     for (i, exchange) in exchanges.iter().enumerate() {
         let resets = fit.resets();
@@ -242,25 +237,18 @@ fn clock(device: Option<&CameraId>, samples: &[ClockSample]) -> Option<ClockDesc
     })
 }
 
-/// The segments, in order.
+/// The segments of a recording, in the order of their numbers.
 pub fn segments(recording: &RecordingReader) -> Vec<SegmentDescription> {
     let ends = frames_ends(recording);
-    let describe = |(place, segment): (usize, &SegmentReader)| {
-        let broken = match &segment.end {
-            End::Closed => None,
-            End::Cut { at } => Some(format!("not closed, usable up to byte {at}")),
-            End::Damaged { at, reason } => Some(format!("damaged at byte {at}: {reason}")),
-        };
-        SegmentDescription {
-            number: segment.number,
-            path: segment.path.clone(),
-            bytes: segment.length() as u64,
-            first_trigger: segment.first_trigger,
-            end_trigger: segment.end_trigger,
-            frames_end: ends.get(place).copied().flatten(),
-            closed: segment.is_closed(),
-            broken,
-        }
+    let describe = |(place, segment): (usize, &SegmentReader)| SegmentDescription {
+        number: segment.number,
+        path: segment.path.clone(),
+        bytes: segment.length() as u64,
+        first_trigger: segment.first_trigger,
+        end_trigger: segment.end_trigger,
+        frames_end: ends.get(place).copied().flatten(),
+        closed: segment.end == End::Closed,
+        broken: segment.broken(),
     };
     recording.segments.iter().enumerate().map(describe).collect()
 }
@@ -308,7 +296,7 @@ pub fn missing(recording: &RecordingReader) -> Vec<String> {
     }
     for segment in segments(recording) {
         if let Some(broken) = segment.broken {
-            lines.push(format!("segment {}: {broken} of {}", segment.number, segment.bytes));
+            lines.push(format!("segment {}: {broken}", segment.number));
         }
     }
     for segment in &recording.segments {

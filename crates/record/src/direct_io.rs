@@ -2,10 +2,11 @@
 //! Bytes to the disk past the page cache.
 //!
 //! A buffered writer at 1.1 GB/s fills the page cache until the kernel makes the writer wait for seconds;
-//! `O_DIRECT` keeps the pace of the disk. It wants addresses, offsets and lengths in multiples of
+//! `O_DIRECT` keeps the pace of the disk. It requires addresses, offsets and lengths in multiples of
 //! [`BLOCK`]. Where a file system refuses it, the same writes go through the page cache.
 
 use super::statistics::DiskAccess;
+use crate::host::realtime::soft_limit;
 use std::ffi::CString;
 use std::fs::{File, OpenOptions};
 use std::io::{self, IoSlice};
@@ -114,8 +115,11 @@ fn write_all_vectored_at(file: &File, mut offset: u64, mut parts: &mut [IoSlice<
             return Err(error);
         };
         let whole = written - written % BLOCK;
-        if whole == 0 && written > 0 && file_limit().is_some_and(|limit| offset + BLOCK as u64 > limit) {
-            // The next write would say so, if there were blocks small enough.
+        if whole == 0
+            && written > 0
+            && soft_limit(libc::RLIMIT_FSIZE).is_some_and(|limit| offset + BLOCK as u64 > limit)
+        {
+            // The next write would fail with this error, if it could write less than a block.
             return Err(io::Error::from_raw_os_error(libc::EFBIG));
         }
         if whole == 0 {
@@ -127,16 +131,8 @@ fn write_all_vectored_at(file: &File, mut offset: u64, mut parts: &mut [IoSlice<
     Ok(())
 }
 
-/// The length that a file of this process may have, if it is limited, bytes.
-fn file_limit() -> Option<u64> {
-    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
-    // SAFETY: `limit` is valid for writing for the duration of the call.
-    let code = unsafe { libc::getrlimit(libc::RLIMIT_FSIZE, &mut limit) };
-    (code == 0 && limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur)
-}
-
-/// Lets a write beyond the limit on file sizes fail with `EFBIG`, as any other write fails, instead of ending the process
-/// with `SIGXFSZ` in the middle of a session.
+/// Lets a write beyond the limit on file sizes fail with `EFBIG`, as any other write fails, instead of ending the
+/// process with `SIGXFSZ` in the middle of a session.
 pub fn survive_file_limit() {
     // SAFETY: ignoring a signal installs no handler: no code of ours runs in signal context.
     unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
@@ -158,12 +154,12 @@ impl AlignedBuffer {
         Self { memory, start, capacity }
     }
 
-    /// All of it.
+    /// The whole memory, from its aligned start.
     pub fn as_slice(&self) -> &[u8] {
         &self.memory[self.start..self.start + self.capacity]
     }
 
-    /// All of it.
+    /// The whole memory, from its aligned start.
     pub fn as_mut_slice(&mut self) -> &mut [u8] {
         &mut self.memory[self.start..self.start + self.capacity]
     }

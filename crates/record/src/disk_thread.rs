@@ -21,7 +21,7 @@ pub(super) struct Run {
     pub pixels: usize,
     /// CRC-32 of all its pixels.
     pub crc: u32,
-    /// Where they are; `None` only until the window has been given the block.
+    /// The block that has them; `None` only until the window has been given it.
     pub block: Option<Block>,
 }
 
@@ -31,13 +31,13 @@ pub(super) struct Batch {
     /// Bytes of `staging`, the padding of the last block included.
     pub staged: usize,
     pub runs: Vec<Run>,
-    /// Where in the file.
+    /// Offset in the file; a multiple of the block size.
     pub offset: u64,
     /// Length of the file with it, without the padding.
     pub end: u64,
 }
 
-/// What the thread is asked for.
+/// A command to the thread; they are carried out in order.
 pub(super) enum Command {
     Write(Batch),
     Sync,
@@ -47,7 +47,7 @@ pub(super) enum Command {
     Abandon,
 }
 
-/// What came of a command.
+/// The result of a command.
 pub(super) enum Outcome {
     /// Everything below is in the file.
     Written(u64),
@@ -60,13 +60,12 @@ pub(super) enum Outcome {
 /// The answer to one command, in order.
 pub(super) struct Reply {
     pub outcome: Outcome,
-    /// When it was done.
     pub at: Instant,
     /// Memory of a batch, for the next one.
     pub memory: Option<(AlignedBuffer, Vec<Run>)>,
 }
 
-/// The two ends that the segment holds. The thread ends when they are dropped.
+/// The channels to the thread of a segment, which its window holds. The thread ends when they are dropped.
 pub(super) struct Disk {
     pub commands: Sender<Command>,
     pub replies: Receiver<Reply>,

@@ -6,8 +6,9 @@
 
 use super::belonging::SessionMark;
 use super::layout::MAX_CAMERA_NAME;
-use super::protobuf::{self, Buffer, FieldType, Fixed, MessageReader, MessageWriter, Value};
+use super::protobuf::{self, Fixed, Kind, MessageReader, MessageWriter, Value, written};
 use crate::base::ids::{BlockId, CameraId, TriggerIndex};
+use std::io::Write;
 use std::ops::Range;
 
 /// Room that a frame's buffer needs in front of the pixels, bytes.
@@ -46,9 +47,7 @@ pub struct FrameMeta {
     pub camera_time_ns: u64,
     /// When the frame arrived, host clock, ns.
     pub host_time_ns: u64,
-    /// Columns.
     pub width: u32,
-    /// Rows.
     pub height: u32,
     /// CRC-32 (IEEE) of the pixels; see [`pixels_crc`].
     pub pixels_crc: u32,
@@ -59,14 +58,12 @@ pub fn pixels_crc(pixels: &[u8]) -> u32 {
     crc32fast::hash(pixels)
 }
 
-/// A parsed frame message.
+/// A frame's message, parsed: identity, and where its pixels are.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Envelope<'a> {
-    /// The camera's name.
     pub camera: &'a str,
-    /// Identity and checksum.
     pub meta: FrameMeta,
-    /// The session that it is of; messages of version 1 do not say.
+    /// Mark of its session; messages of version 1 have none.
     pub session: Option<SessionMark>,
     /// Where the pixels are in the message; they reach to its end.
     pub pixels: Range<usize>,
@@ -75,47 +72,28 @@ pub struct Envelope<'a> {
 /// Why a message is not a frame.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum EnvelopeError {
-    /// Not protobuf, or cut.
+    /// The bytes are no protobuf message, or are cut.
     #[error("frame message is not valid protobuf at byte {offset}")]
-    Malformed {
-        /// Where in the message.
-        offset: usize,
-    },
+    Malformed { offset: usize },
     /// A field is absent, repeated with another type, or has a value that a frame cannot have.
     #[error("frame message: {field} is {found}, expected {expected}")]
-    Field {
-        /// The field's name.
-        field: &'static str,
-        /// What was found.
-        found: String,
-        /// What was expected.
-        expected: String,
-    },
+    Field { field: &'static str, found: String, expected: String },
     /// The bytes before the pixels are not those that were written.
     #[error("envelope checksum is {found:#010x}, but the message states {stated:#010x}: it is damaged")]
-    Checksum {
-        /// Computed from the bytes.
-        found: u32,
-        /// Stated in the message.
-        stated: u32,
-    },
+    Checksum { found: u32, stated: u32 },
     /// The room in front of the pixels does not suffice.
     #[error("the envelope needs {needed} bytes in front of the pixels, {room} are there")]
-    Room {
-        /// Bytes needed.
-        needed: usize,
-        /// Bytes there.
-        room: usize,
-    },
+    Room { needed: usize, room: usize },
 }
 
 /// Writes the envelope to the end of `room`, so that the pixels that follow in the same buffer continue it,
-/// and returns its length: the message is the last so many bytes of `room` and the pixels.
+/// and returns its length: the message is that many last bytes of `room`, and the pixels.
 ///
-/// `room` of [`ENVELOPE_CAPACITY`] bytes always suffices. The recording that takes the message marks it with its session.
+/// `room` of [`ENVELOPE_CAPACITY`] bytes always suffices. The recording that takes the message marks it with its
+/// session.
 pub fn write_envelope(room: &mut [u8], camera: &CameraId, meta: &FrameMeta) -> Result<usize, EnvelopeError> {
     let envelope = encode(None, camera, meta)?;
-    let envelope = envelope.as_slice();
+    let envelope = written(&envelope);
     let start = room
         .len()
         .checked_sub(envelope.len())
@@ -128,11 +106,11 @@ pub fn write_envelope(room: &mut [u8], camera: &CameraId, meta: &FrameMeta) -> R
 pub(super) fn marked(session: SessionMark, message: &[u8]) -> Result<Vec<u8>, EnvelopeError> {
     let envelope = parse_envelope(message)?;
     let front = encode(Some(session), &CameraId::from(envelope.camera), &envelope.meta)?;
-    Ok([front.as_slice(), &message[envelope.pixels]].concat())
+    Ok([written(&front), &message[envelope.pixels]].concat())
 }
 
 /// As [`write_envelope`], but the envelope becomes exactly `length` bytes long, by a field of zeros that every
-/// reader skips: so the pixels begin where the disk wants them. [`padded_lengths`] says what is possible.
+/// reader skips: so the pixels begin where the disk requires it. [`padded_lengths`] gives the possible lengths.
 pub(super) fn write_padded_envelope(
     room: &mut [u8],
     session: Option<SessionMark>,
@@ -141,8 +119,8 @@ pub(super) fn write_padded_envelope(
     length: usize,
 ) -> Result<(), EnvelopeError> {
     let fields = encode_fields(session, camera, meta)?;
-    let fields = fields.as_slice();
-    let bare = fields.len() + encode_end(meta, 0).as_slice().len();
+    let fields = written(&fields);
+    let bare = fields.len() + written(&encode_end(meta, 0)).len();
     let padding = length.checked_sub(bare + PADDING_OVERHEAD).filter(|_| length <= room.len());
     let padding = padding.ok_or(EnvelopeError::Room { needed: length, room: room.len() })?;
     let start = room.len() - length;
@@ -158,7 +136,7 @@ pub(super) fn write_padded_envelope(
     let mut crc = crc32fast::Hasher::new();
     crc.update(front);
     crc.update(field);
-    end.copy_from_slice(encode_end(meta, crc.finalize()).as_slice());
+    end.copy_from_slice(written(&encode_end(meta, crc.finalize())));
     Ok(())
 }
 
@@ -168,7 +146,7 @@ pub(super) fn padded_lengths(
     camera: &CameraId,
     meta: &FrameMeta,
 ) -> Result<std::ops::RangeInclusive<usize>, EnvelopeError> {
-    let bare = encode_fields(session, camera, meta)?.as_slice().len() + encode_end(meta, 0).as_slice().len();
+    let bare = written(&encode(session, camera, meta)?).len();
     Ok(bare + PADDING_OVERHEAD..=PADDED_MAX)
 }
 
@@ -178,15 +156,16 @@ fn encode(
     meta: &FrameMeta,
 ) -> Result<Fixed<ENVELOPE_CAPACITY>, EnvelopeError> {
     let mut envelope = encode_fields(session, camera, meta)?;
-    let crc = crc32fast::hash(envelope.as_slice());
-    envelope.append(encode_end(meta, crc).as_slice());
+    let crc = crc32fast::hash(written(&envelope));
+    // The longest envelope fits, see `encode_fields`.
+    let _ = envelope.write_all(written(&encode_end(meta, crc)));
     Ok(envelope)
 }
 
 /// What stands between the checked fields and the pixels.
 fn encode_end(meta: &FrameMeta, crc: u32) -> Fixed<24> {
     let pixels = u64::from(meta.width) * u64::from(meta.height);
-    MessageWriter::default().fixed32(ENVELOPE_CRC, crc).bytes_header(6, pixels).into_bytes()
+    MessageWriter::fixed().fixed32(ENVELOPE_CRC, crc).bytes_header(6, pixels).into_bytes()
 }
 
 /// No allocation, because it runs for every frame. With the longest name the envelope has 211 bytes.
@@ -203,12 +182,9 @@ fn encode_fields(
             format!("at most {MAX_CAMERA_NAME}"),
         ));
     }
-    let timestamp = MessageWriter::<Fixed<24>>::default()
-        .varint(1, meta.host_time_ns / 1_000_000_000)
-        .varint(2, meta.host_time_ns % 1_000_000_000)
-        .into_bytes();
-    let checked = MessageWriter::<Fixed<ENVELOPE_CAPACITY>>::default()
-        .bytes(1, timestamp.as_slice())
+    let timestamp: Fixed<24> = protobuf::timestamp(MessageWriter::fixed(), meta.host_time_ns).into_bytes();
+    let checked = MessageWriter::<Fixed<ENVELOPE_CAPACITY>>::fixed()
+        .bytes(1, written(&timestamp))
         .fixed32(2, meta.width)
         .fixed32(3, meta.height)
         .bytes(4, ENCODING)
@@ -354,37 +330,28 @@ fn finish<'a>(
 
 /// The schema that goes into the recording: a `FileDescriptorSet` of the message and of the timestamp.
 pub fn schema() -> Vec<u8> {
-    let timestamp = protobuf::file(
-        "google/protobuf/timestamp.proto",
-        "google.protobuf",
-        &[],
-        "Timestamp",
-        &[protobuf::field("seconds", 1, FieldType::Int64), protobuf::field("nanos", 2, FieldType::Int32)],
-    );
-    let image = protobuf::file(
-        "foxglove/RawImage.proto",
-        "foxglove",
-        &["google/protobuf/timestamp.proto"],
+    let image = protobuf::describe(
         "RawImage",
         &[
-            protobuf::message_field("timestamp", 1, ".google.protobuf.Timestamp"),
-            protobuf::field("frame_id", 7, FieldType::String),
-            protobuf::field("width", 2, FieldType::Fixed32),
-            protobuf::field("height", 3, FieldType::Fixed32),
-            protobuf::field("encoding", 4, FieldType::String),
-            protobuf::field("step", 5, FieldType::Fixed32),
-            protobuf::field("data", 6, FieldType::Bytes),
-            protobuf::field("trigger_index", TRIGGER, FieldType::Fixed64),
-            protobuf::field("block_id", BLOCK, FieldType::Fixed64),
-            protobuf::field("camera_time_ns", CAMERA_TIME, FieldType::Fixed64),
-            protobuf::field("host_time_ns", HOST_TIME, FieldType::Fixed64),
-            protobuf::field("pixels_crc32", PIXELS_CRC, FieldType::Fixed32),
-            protobuf::field("envelope_crc32", ENVELOPE_CRC, FieldType::Fixed32),
-            protobuf::field("padding", PADDING, FieldType::Bytes),
-            protobuf::field("session_mark", SESSION, FieldType::Fixed64),
+            ("timestamp", 1, Kind::Message(".google.protobuf.Timestamp")),
+            ("frame_id", 7, Kind::Text),
+            ("width", 2, Kind::Fixed32),
+            ("height", 3, Kind::Fixed32),
+            ("encoding", 4, Kind::Text),
+            ("step", 5, Kind::Fixed32),
+            ("data", 6, Kind::Bytes),
+            ("trigger_index", TRIGGER, Kind::Fixed64),
+            ("block_id", BLOCK, Kind::Fixed64),
+            ("camera_time_ns", CAMERA_TIME, Kind::Fixed64),
+            ("host_time_ns", HOST_TIME, Kind::Fixed64),
+            ("pixels_crc32", PIXELS_CRC, Kind::Fixed32),
+            ("envelope_crc32", ENVELOPE_CRC, Kind::Fixed32),
+            ("padding", PADDING, Kind::Bytes),
+            ("session_mark", SESSION, Kind::Fixed64),
         ],
     );
-    protobuf::file_set(&[timestamp, image])
+    let imports = ["google/protobuf/timestamp.proto"];
+    protobuf::file_set([protobuf::file("foxglove/RawImage.proto", "foxglove", &imports, vec![image])])
 }
 
 #[cfg(test)]

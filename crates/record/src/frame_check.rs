@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A frame's message against its own checksums, and against the identity that it was asked for.
+//! A frame's message against its own checksums, and against the identity under which it is recorded.
 
 use super::belonging::Belonging;
 use super::envelope::{FRONT, FrameMeta, parse_envelope_of, pixels_crc};
@@ -15,8 +15,8 @@ pub(super) fn read_front(file: &SegmentFile, message: &Range<usize>) -> Result<V
     Ok(front)
 }
 
-/// Checks a frame's envelope against its own checksum and against the identity that it was asked for; `front` is the begin
-/// of a message of `length` bytes. Returns the place of the pixels in the message.
+/// Checks a frame's envelope against its own checksum and against the identity under which it is recorded; `front` is
+/// the beginning of a message of `length` bytes. Returns the place of the pixels in the message.
 pub(super) fn identify(
     front: &[u8],
     length: usize,
@@ -29,7 +29,7 @@ pub(super) fn identify(
     let meta = envelope.meta;
     belonging.check(envelope.session)?;
     if envelope.camera != described.id.as_str() || meta.trigger != trigger {
-        return Err(format!("the frame says camera {} trigger {}", envelope.camera, meta.trigger));
+        return Err(format!("the frame states camera {} trigger {}", envelope.camera, meta.trigger));
     }
     let (width, height) = (described.width, described.height);
     if (meta.width, meta.height) != (width, height) {
@@ -50,7 +50,7 @@ pub(super) fn check_pixels(pixels: &[u8], meta: &FrameMeta) -> Result<(), String
     Ok(())
 }
 
-/// Checks a frame's message against its own checksums and against the identity that it was asked for.
+/// Checks a frame's message against its own checksums and against the identity under which it is recorded.
 pub(crate) fn check_frame(
     message: &[u8],
     camera: usize,

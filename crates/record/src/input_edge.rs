@@ -11,7 +11,7 @@ pub struct InputEdge {
     pub number: u64,
     /// The HSU's input, from 0.
     pub line: u8,
-    /// From low to high.
+    /// Whether the line went from low to high.
     pub rising: bool,
     /// When it came, HSU clock, ns.
     pub hsu_time_ns: u64,
@@ -23,14 +23,13 @@ pub struct InputEdge {
 const KIND: &str = "hsu_input";
 
 impl InputEdge {
-    /// As an event; `host_time_ns` is when it was heard of.
+    /// The event that records it; `host_time_ns` is when the node received it.
     pub fn event(&self, host_time_ns: u64) -> NodeEvent {
-        let message = serde_json::to_string(self).unwrap_or_default();
-        NodeEvent { host_time_ns, kind: KIND.to_owned(), camera: None, trigger: None, message }
+        NodeEvent::of_json(KIND, host_time_ns, self)
     }
 
-    /// From an event.
+    /// The edge that an event holds; `None` for other kinds.
     pub fn of(event: &NodeEvent) -> Option<Self> {
-        (event.kind == KIND).then(|| serde_json::from_str(&event.message).ok())?
+        event.json(KIND)
     }
 }

@@ -4,7 +4,7 @@
 
 use crate::base::ids::{CameraId, NodeId, SessionName, TriggerIndex};
 use crate::config::FeatureSetting;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use std::collections::BTreeMap;
 use std::fmt;
 
@@ -25,8 +25,8 @@ pub const STATISTICS_METADATA: &str = "fourdbody.write_statistics";
 
 /// Key of these metadata records: JSON of [`RecordingHeader`] without the rig; of the verdict; of the statistics.
 pub const KEY_JSON: &str = "json";
-/// Key of all these metadata records: CRC-32 of the other entries, in the order of their keys, each as key, zero, value,
-/// zero. It vouches for them while the segment is open and the data section's checksum is still to come.
+/// Key of all these metadata records: CRC-32 of the other entries, in the order of their keys, each as key, zero,
+/// value, zero. It vouches for them while the segment is open and the data section's checksum is still to come.
 pub const KEY_CRC: &str = "crc32";
 /// Key of the header metadata: the rig file, word for word.
 pub const KEY_RIG: &str = "rig";
@@ -39,9 +39,9 @@ pub const KEY_END_TRIGGER: &str = "end_trigger";
 
 /// Keys of the segment metadata: where the message of [`INDEX_TOPIC`] has its payload, and its CRC-32.
 pub const KEY_INDEX_OFFSET: &str = "index_offset";
-/// See [`KEY_INDEX_OFFSET`].
+/// Key of the segment metadata: length of that payload, bytes.
 pub const KEY_INDEX_LENGTH: &str = "index_length";
-/// See [`KEY_INDEX_OFFSET`].
+/// Key of the segment metadata: CRC-32 of that payload.
 pub const KEY_INDEX_CRC: &str = "index_crc32";
 
 /// Key of the segment's, the verdict's and the statistics' metadata: the mark of the session.
@@ -49,13 +49,11 @@ pub const KEY_SESSION: &str = "session_mark";
 /// Key of the verdict's metadata: how many small records the recording has; they are numbered from 0.
 pub const KEY_RECORDS: &str = "records";
 
-/// Topic of gap records.
 pub const GAPS_TOPIC: &str = "/gaps";
 /// Topic of the HSU's trigger table.
 pub const TRIGGERS_TOPIC: &str = "/hsu/triggers";
 /// Topic of raw clock samples.
 pub const CLOCK_TOPIC: &str = "/clock";
-/// Topic of node events.
 pub const EVENTS_TOPIC: &str = "/events";
 /// Topic of the segment's index, the last message of a closed segment.
 pub const INDEX_TOPIC: &str = "/index";
@@ -66,6 +64,9 @@ pub const MAX_TRIGGERS: u64 = 1 << 24;
 pub const MAX_CAMERAS: usize = 64;
 /// A camera's name has at most this many bytes; it is part of every frame's message.
 pub const MAX_CAMERA_NAME: usize = 64;
+
+/// The entries of a metadata record: keys and texts.
+pub type Entries = BTreeMap<String, String>;
 
 /// Topic of a camera's frames.
 pub fn image_topic(camera: &CameraId) -> String {
@@ -89,11 +90,11 @@ pub fn segment_number(name: &str) -> Option<u32> {
     (digits.len() >= 3 && digits.bytes().all(|b| b.is_ascii_digit())).then(|| digits.parse().ok())?
 }
 
-/// The kind of the event that names, as its message, a node of the rig that was not asked to take part: the session is one of a part
-/// of the rig, as somebody wished.
+/// Kind of the event whose message names a node of the rig that does not take part: the session is of a part of the
+/// rig, as requested.
 pub const NOT_ASKED: &str = "node_not_asked";
 
-/// Kind of the events whose message is what a camera says of PTP: at the beginning where it is on, at each change, and at
+/// Kind of the events whose message is a camera's PTP status: at the beginning where PTP is on, at each change, and at
 /// the end.
 pub const PTP_STATUS: &str = "ptp_status";
 
@@ -112,9 +113,8 @@ pub const ACTIONS_AT_ONCE: &str = "actions_at_once";
 pub struct CameraHeader {
     /// Its name in the rig.
     pub id: CameraId,
-    /// Columns of its frames.
+    /// Columns of its frames, pixels (its rows are `height`).
     pub width: u32,
-    /// Rows of its frames.
     pub height: u32,
     /// Model, serial number and firmware as the camera states them; empty where unknown.
     pub device: String,
@@ -129,25 +129,22 @@ pub struct CameraHeader {
     pub state: BTreeMap<String, String>,
 }
 
-/// Who counted the triggers.
+/// The device that emitted and counted the triggers.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HsuIdentity {
     /// Unique id of the device.
     pub uid: String,
-    /// Its firmware.
     pub firmware: String,
     /// Version of the serial protocol spoken.
     pub protocol: u32,
 }
 
-/// What makes a segment understandable alone.
+/// The header of every segment: it makes each understandable alone.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RecordingHeader {
-    /// Name of the session.
     pub session: SessionName,
     /// Unique id of the session, the same on both nodes.
     pub session_id: String,
-    /// The node that records.
     pub node: NodeId,
     /// The rig file, word for word.
     #[serde(skip)]
@@ -156,19 +153,18 @@ pub struct RecordingHeader {
     pub cameras: Vec<CameraHeader>,
     /// The HSU; `None` for images that were imported.
     pub hsu: Option<HsuIdentity>,
-    /// Triggers asked for; `None` runs until stop.
+    /// Triggers requested; `None` runs until stop.
     pub expected_triggers: Option<u64>,
-    /// Triggers per second.
     pub trigger_rate_hz: f64,
-    /// Name of the clock behind every `host_time_ns`, for instance `CLOCK_REALTIME`: UTC, ns since 1970 without leap seconds.
+    /// Name of the clock behind every `host_time_ns`, for instance `CLOCK_REALTIME`: UTC, ns since 1970 without leap
+    /// seconds.
     pub host_clock: String,
     /// Host time when the recording was created, ns.
     pub created_ns: u64,
     /// Name and version of the recording software.
     pub software: String,
-    /// Pseudonym of the subject.
     pub subject: Option<String>,
-    /// Free text.
+    /// Free text that was given when the session was started.
     pub note: Option<String>,
 }
 
@@ -186,7 +182,7 @@ pub enum GapCause {
     DroppedRingFull,
     /// The frame arrived, but could not be written.
     DroppedDisk,
-    /// The camera was gone.
+    /// The camera was unplugged or off, or the network to it was down.
     Unplugged,
     /// The camera was there, but not under our control: another program took it, or our signs of life got lost.
     ControlLost,
@@ -200,11 +196,11 @@ pub enum GapCause {
     IdentityMismatch,
     /// Imported images: there was no file for this trigger.
     NotRecorded,
-    /// The node's process stood still, and frames of this trigger did not survive it: the whole set is given up.
+    /// The node's process stood still, and frames of this trigger were lost meanwhile: the whole set is given up.
     NodePaused,
     /// The frame was recorded, but is damaged (written by `recover`).
     Damaged,
-    /// Nothing is known; also stands for causes of a later version.
+    /// The cause is not known, or is one of a later version.
     #[serde(other)]
     Unknown,
 }
@@ -240,22 +236,18 @@ impl fmt::Display for GapCause {
 /// Stands where a frame is missing.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct GapRecord {
-    /// The camera.
     pub camera: CameraId,
-    /// The trigger.
     pub trigger: TriggerIndex,
-    /// Why.
     pub cause: GapCause,
 }
 
 /// One row of the HSU's trigger table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TriggerRecord {
-    /// The trigger.
     pub index: TriggerIndex,
     /// When it was emitted, HSU clock, ns.
     pub hsu_time_ns: u64,
-    /// As the HSU reports them; 0 is an ordinary trigger.
+    /// Flags as the HSU reports them; 0 is an ordinary trigger.
     pub flags: u32,
     /// When the report arrived, host clock, ns.
     pub host_time_ns: u64,
@@ -278,17 +270,15 @@ pub struct ClockSample {
 /// Something that happened on the node during the session.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeEvent {
-    /// When, host clock, ns.
+    /// When it happened, host clock, ns.
     pub host_time_ns: u64,
     /// A word, for instance `camera_lost` or `duplicate`.
     pub kind: String,
-    /// The camera concerned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<CameraId>,
-    /// The trigger concerned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trigger: Option<TriggerIndex>,
-    /// For people.
+    /// Text that a person reads; for some kinds JSON, or a format of its own.
     pub message: String,
 }
 
@@ -296,35 +286,49 @@ pub struct NodeEvent {
 const GIVEN_UP: &str = "segment_given_up";
 
 impl NodeEvent {
-    /// Says that a segment stays open because the disk refused it.
-    pub(super) fn segment_given_up(number: u32, host_time_ns: u64) -> Self {
-        let message = format!("{}: refused by the disk; what it lost is accounted for", segment_name(number));
-        Self { host_time_ns, kind: GIVEN_UP.to_owned(), camera: None, trigger: None, message }
+    /// An event that names neither a camera nor a trigger.
+    pub fn new(kind: &str, host_time_ns: u64, message: String) -> Self {
+        Self { host_time_ns, kind: kind.to_owned(), camera: None, trigger: None, message }
     }
 
-    /// Whether it says that of this segment.
+    /// An event whose message is a value in JSON.
+    pub(super) fn of_json(kind: &str, host_time_ns: u64, value: &impl Serialize) -> Self {
+        Self::new(kind, host_time_ns, serde_json::to_string(value).unwrap_or_default())
+    }
+
+    /// The value of an event of this kind, whose message is JSON.
+    pub(super) fn json<T: DeserializeOwned>(&self, kind: &str) -> Option<T> {
+        (self.kind == kind).then(|| serde_json::from_str(&self.message).ok())?
+    }
+
+    /// The event of a segment that stays open because the disk refused it.
+    pub(super) fn segment_given_up(number: u32, host_time_ns: u64) -> Self {
+        let message = format!("{}: refused by the disk; what it lost is accounted for", segment_name(number));
+        Self::new(GIVEN_UP, host_time_ns, message)
+    }
+
+    /// Whether it is that event of this segment.
     pub(super) fn gives_up(&self, number: u32) -> bool {
         let named = self.message.split(':').next();
         self.kind == GIVEN_UP && named.and_then(segment_number) == Some(number)
     }
 }
 
-/// What was seen in the warm-up: raw, so that the beginning of every stream can be found again from the files.
+/// A raw sample of the warm-up, from which the beginning of every stream can be found again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum WarmUp {
     /// A frame of the event's camera.
     Frame {
-        /// Its block id.
         block: u64,
         /// Its timestamp, camera clock, ns; 0 without one.
         camera_time_ns: u64,
         /// Its first packet's arrival, host clock, ns.
         host_time_ns: u64,
     },
-    /// A trigger.
+    /// A trigger of the warm-up, as the HSU reported it.
     Trigger {
-        /// Its number, negative.
+        /// Number of the trigger, negative: -1 is the last one before trigger 0.
         number: i64,
         /// When it was fired, HSU clock, ns.
         hsu_time_ns: u64,
@@ -335,24 +339,23 @@ pub enum WarmUp {
 const WARM_UP: &str = "warm_up";
 
 impl WarmUp {
-    /// As an event; its message is JSON.
+    /// The event that records it; its message is JSON.
     pub fn event(&self, camera: Option<CameraId>, host_time_ns: u64) -> NodeEvent {
-        let message = serde_json::to_string(self).unwrap_or_default();
-        NodeEvent { host_time_ns, kind: WARM_UP.to_owned(), camera, trigger: None, message }
+        NodeEvent { camera, ..NodeEvent::of_json(WARM_UP, host_time_ns, self) }
     }
 
-    /// From an event.
+    /// The sample that an event holds; `None` for other kinds.
     pub fn of(event: &NodeEvent) -> Option<Self> {
-        (event.kind == WARM_UP).then(|| serde_json::from_str(&event.message).ok())?
+        event.json(WARM_UP)
     }
 }
 
-/// All outcomes of a segment, and its part of the trigger table, so that a closed one opens without walking its records.
+/// All outcomes of a segment, and its part of the trigger table, so that a closed one opens without walking its
+/// records.
 #[derive(Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SegmentIndex {
     /// Camera (its place in the header), trigger, offset of the message's payload in the file, its length.
     pub frames: Vec<(u32, u64, u64, u64)>,
-    /// The gap records.
     pub gaps: Vec<GapRecord>,
     /// Rows of the trigger table ([`TriggerRecord::row`]); none in segments of versions that left them out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -363,18 +366,18 @@ pub struct SegmentIndex {
 pub type TriggerRow = (u64, u64, u32, u64);
 
 impl TriggerRecord {
-    /// As an index has it.
+    /// The row of the index for it.
     pub fn row(&self) -> TriggerRow {
         (self.index.0, self.hsu_time_ns, self.flags, self.host_time_ns)
     }
 
-    /// Of an index.
+    /// The record of a row of the index.
     pub fn of_row((index, hsu_time_ns, flags, host_time_ns): TriggerRow) -> Self {
         Self { index: TriggerIndex(index), hsu_time_ns, flags, host_time_ns }
     }
 }
 
-/// JSON schema of [`SegmentIndex`].
+/// JSON schema of the channel that carries [`SegmentIndex`].
 pub(crate) fn index_schema() -> serde_json::Value {
     let frames =
         "camera (its place in the header), trigger, offset in the file and length of the message's payload";
@@ -386,49 +389,34 @@ pub(crate) fn index_schema() -> serde_json::Value {
     }})
 }
 
-/// Name and JSON schema of the channels whose messages are JSON, with their topics.
+/// Topic, name and JSON schema of the channels whose messages are JSON. A field with a question mark may be absent.
 pub(crate) fn json_channels() -> [(&'static str, &'static str, serde_json::Value); 4] {
-    let integer = serde_json::json!({"type": "integer", "minimum": 0});
-    let text = serde_json::json!({"type": "string"});
-    let object = |required: &[&str], properties: serde_json::Value| serde_json::json!({"type": "object", "required": required, "properties": properties});
     [
-        (
-            GAPS_TOPIC,
-            "fourdbody.Gap",
-            object(
-                &["camera", "trigger", "cause"],
-                serde_json::json!({"camera": text, "trigger": integer, "cause": text}),
-            ),
-        ),
-        (
-            TRIGGERS_TOPIC,
-            "fourdbody.Trigger",
-            object(
-                &["index", "hsu_time_ns", "flags", "host_time_ns"],
-                serde_json::json!({"index": integer, "hsu_time_ns": integer, "flags": integer, "host_time_ns": integer}),
-            ),
-        ),
-        (
-            CLOCK_TOPIC,
-            "fourdbody.ClockSample",
-            object(
-                &["host_send_ns", "host_receive_ns", "device_time_ns"],
-                serde_json::json!({"camera": text, "host_send_ns": integer, "host_receive_ns": integer, "device_time_ns": integer}),
-            ),
-        ),
-        (
-            EVENTS_TOPIC,
-            "fourdbody.Event",
-            object(
-                &["host_time_ns", "kind", "message"],
-                serde_json::json!({"host_time_ns": integer, "kind": text, "camera": text, "trigger": integer, "message": text}),
-            ),
-        ),
+        (GAPS_TOPIC, "fourdbody.Gap", "camera:text trigger cause:text"),
+        (TRIGGERS_TOPIC, "fourdbody.Trigger", "index hsu_time_ns flags host_time_ns"),
+        (CLOCK_TOPIC, "fourdbody.ClockSample", "camera?:text host_send_ns host_receive_ns device_time_ns"),
+        (EVENTS_TOPIC, "fourdbody.Event", "host_time_ns kind:text camera?:text trigger? message:text"),
     ]
+    .map(|(topic, name, fields)| (topic, name, schema_of(fields)))
+}
+
+/// The JSON schema of an object with these fields, which are natural numbers unless they are texts.
+fn schema_of(fields: &str) -> serde_json::Value {
+    let (mut required, mut properties) = (Vec::new(), serde_json::Map::new());
+    for field in fields.split(' ') {
+        let (name, kind) = match field.strip_suffix(":text") {
+            Some(name) => (name, serde_json::json!({"type": "string"})),
+            None => (field, serde_json::json!({"type": "integer", "minimum": 0})),
+        };
+        let optional = name.strip_suffix('?');
+        required.extend(optional.is_none().then_some(name));
+        properties.insert(optional.unwrap_or(name).to_owned(), kind);
+    }
+    serde_json::json!({"type": "object", "required": required, "properties": properties})
 }
 
 impl RecordingHeader {
-    /// What would make a recording impossible or ambiguous.
+    /// An error for a header that would make a recording impossible or ambiguous.
     pub(crate) fn check(&self) -> Result<(), String> {
         if self.cameras.is_empty() || self.cameras.len() > MAX_CAMERAS {
             return Err(format!("{} cameras, expected 1 to {MAX_CAMERAS}", self.cameras.len()));
@@ -476,7 +464,17 @@ impl RecordingHeader {
 
 #[cfg(test)]
 mod tests {
-    use super::{GapCause, segment_name, segment_number};
+    use super::{GapCause, json_channels, segment_name, segment_number};
+
+    #[test]
+    fn golden_schema_of_events() {
+        let integer = r#"{"minimum":0,"type":"integer"}"#;
+        let text = r#"{"type":"string"}"#;
+        let expected = format!(
+            r#"{{"properties":{{"camera":{text},"host_time_ns":{integer},"kind":{text},"message":{text},"trigger":{integer}}},"required":["host_time_ns","kind","message"],"type":"object"}}"#
+        );
+        assert_eq!(json_channels()[3].2.to_string(), expected);
+    }
 
     #[test]
     fn causes_keep_their_names() {

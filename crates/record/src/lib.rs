@@ -4,6 +4,8 @@
 //! `docs/design/recording.md` states what they must keep true. [`layout`] is the contract between writer and
 //! reader; [`Recording`] writes one node's part of a session; [`SessionReader`] reads a session back.
 
+#![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]
+
 use fourdbody_core::{base, config, data};
 
 mod action_counts;
@@ -15,18 +17,19 @@ pub mod describe;
 mod direct_io;
 mod disk_thread;
 pub mod envelope;
+mod files;
 mod frame_check;
-/// What is asked of Linux: real-time threads, locked memory, idle processes.
+/// Linux: real-time threads, locked memory, frame memory, idle processes.
 pub mod host;
 mod input_edge;
 pub mod layout;
-/// Which trigger a frame belongs to, by two witnesses.
+/// The trigger of each frame, by two independent sources.
 pub mod matcher;
 mod metadata;
 mod noted;
 mod open_chunk;
 mod partial;
-mod protobuf;
+pub mod protobuf;
 mod reader;
 pub mod recover;
 pub mod remark;
@@ -49,7 +52,8 @@ mod writer;
 pub use action_counts::{ACTION_COMMANDS, ActionCounts};
 pub use advice::Advice;
 pub use direct_io::{free_bytes, survive_file_limit};
-pub use envelope::{ENVELOPE_CAPACITY, Envelope, EnvelopeError, FrameMeta, parse_envelope, write_envelope};
+pub use envelope::{ENVELOPE_CAPACITY, Envelope, FrameMeta, parse_envelope, write_envelope};
+pub use files::{ReadError, node_dir};
 pub use input_edge::InputEdge;
 pub use layout::{
     ACTION_UNIT, ACTIONS_AT_ONCE, CameraHeader, ClockSample, GapCause, GapRecord, HsuIdentity, MAX_TRIGGERS,
@@ -57,13 +61,12 @@ pub use layout::{
 };
 pub use noted::{Noted, SETTING_CHANGED, UNCONFIRMED};
 pub use partial::{copy_frames, is_segment};
-pub use reader::{GapRun, ReadError, RecordedFrame, RecordingReader, SegmentReader};
-pub use segment_file::BadRange;
-pub use session::{SessionReader, Unreadable, node_dir, open_each};
-pub use simultaneous::{NOT_SIMULTANEOUS, NotSimultaneous, TriggerRow, TriggerRows};
-pub use statistics::{DiskAccess, DiskProgress, WriteStatistics};
-pub use time_code::{HeardTimeCode, TimeCodeAt, TimeCodeLine};
-pub use time_scale::{ScaleFound, TimeScale};
+pub use reader::{GapRun, RecordedFrame, RecordingReader, SegmentReader};
+pub use session::{SessionReader, Unreadable, open_each};
+pub use simultaneous::{NOT_SIMULTANEOUS, TriggerRow, TriggerRows};
+pub use statistics::{DiskProgress, WriteStatistics};
+pub use time_code::{HeardTimeCode, TimeCodeLine};
+pub use time_scale::ScaleFound;
 pub use unfinished::{Interrupted, interrupted};
 pub use verdict::{CameraTally, CameraVerdict, SessionEnd, Status, Verdict};
 pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

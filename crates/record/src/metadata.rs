@@ -2,14 +2,16 @@
 //! The metadata records of a segment: their checksum, the header that they state, and the index that they lead to.
 
 use super::layout::{
-    FORMAT, HEADER_METADATA, KEY_CRC, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON, KEY_RIG,
-    KEY_SEGMENT, RecordingHeader, SEGMENT_METADATA, SegmentIndex, VERSION,
+    Entries, FORMAT, HEADER_METADATA, KEY_CRC, KEY_INDEX_CRC, KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, KEY_JSON,
+    KEY_RIG, KEY_SEGMENT, RecordingHeader, SEGMENT_METADATA, SegmentIndex, VERSION,
 };
-use super::scan::{End, Entries, Event, MAX_MESSAGE, Walker};
+use super::scan::{End, Event, MAX_MESSAGE, Walker};
 use super::segment_file::SegmentFile;
 use crate::base::ids::printable;
+use std::ops::Range;
 
-/// CRC-32 of a metadata record's entries, in the order of their keys: key, zero, value, zero. Its own entry is left out.
+/// CRC-32 of a metadata record's entries, in the order of their keys: key, zero, value, zero. Its own entry is left
+/// out.
 pub(super) fn checksum<'a>(entries: impl IntoIterator<Item = (&'a str, &'a str)>) -> u32 {
     let mut crc = crc32fast::Hasher::new();
     for (key, value) in entries.into_iter().filter(|(key, _)| *key != KEY_CRC) {
@@ -31,11 +33,8 @@ pub(super) fn is_sound(entries: &Entries) -> Option<bool> {
 /// A segment's header, as it states it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct StatedHeader {
-    /// What it says.
     pub header: RecordingHeader,
-    /// The segment's number.
     pub number: u32,
-    /// Version of its format.
     pub version: u32,
     /// Whether its own checksum is right.
     pub proven: bool,
@@ -45,17 +44,12 @@ impl StatedHeader {
     /// Whether it is of another recording than `own`. All segments of a recording were created with the same header;
     /// one that no checksum proves has to differ twice, because one difference may be damage.
     pub fn is_foreign(&self, own: &RecordingHeader) -> bool {
-        is_foreign(&self.header, self.proven, own)
+        let differs = self.header.session_id != own.session_id || self.header.node != own.node;
+        differs && (self.proven || self.header.created_ns != own.created_ns)
     }
 }
 
-/// See [`StatedHeader::is_foreign`].
-pub(super) fn is_foreign(header: &RecordingHeader, proven: bool, own: &RecordingHeader) -> bool {
-    let differs = header.session_id != own.session_id || header.node != own.node;
-    differs && (proven || header.created_ns != own.created_ns)
-}
-
-/// What to call a segment of another recording.
+/// The message about a segment of another recording.
 pub(super) fn foreign_reason(header: &RecordingHeader) -> String {
     format!(
         "it belongs to session {} ({}) of node {}, not to this recording: it is left out",
@@ -115,6 +109,12 @@ pub(super) fn parse_header(entries: &Entries) -> Result<StatedHeader, String> {
     let number = segment.parse().map_err(|_| format!("segment number {segment:?} is not a number"))?;
     let version = stated.unwrap_or(VERSION);
     Ok(StatedHeader { header, number, version, proven: is_sound(entries) == Some(true) })
+}
+
+/// The place of a message in the file, from the offset and length in an index.
+pub(super) fn place_of(offset: u64, length: u64) -> Option<Range<usize>> {
+    let (start, end) = (usize::try_from(offset).ok()?, usize::try_from(offset.checked_add(length)?).ok()?);
+    Some(start..end)
 }
 
 /// The index that a closed segment states, if it is intact.

@@ -1,26 +1,24 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a recording's events say of its outcomes: the part of a verdict that is not counted from frames and gaps.
+//! What events of a recording state about its outcomes: the part of a verdict that is not counted from frames and gaps.
 
 use super::layout::NodeEvent;
 use super::simultaneous::NotSimultaneous;
 use crate::base::ids::CameraId;
 
-/// Kind of the events that name a camera of which one witness alone says which trigger some frames are of.
+/// Kind of the events that name a camera of which the trigger of some frames rests on one source alone.
 pub const UNCONFIRMED: &str = "identity_unconfirmed";
 /// Kind of the events that name an outcome which was refused.
 pub const REFUSED: &str = "refused";
 
 /// Kind of the events that name the settings of a camera that changed while the session ran.
 pub const SETTING_CHANGED: &str = "setting_changed";
-/// So many of them are in a verdict.
+/// Most changed settings that a verdict lists.
 const CHANGED_MAX: usize = 16;
 
-/// What a recording's events say of its outcomes.
+/// What events of a recording state about its outcomes.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Noted {
-    /// Events of kind [`REFUSED`].
     pub refused: u64,
-    /// Events of kind [`UNCONFIRMED`].
     pub unconfirmed: u64,
     /// Events of kind [`SETTING_CHANGED`], with their cameras.
     pub changed: Vec<String>,

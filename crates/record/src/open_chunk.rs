@@ -21,11 +21,11 @@ use std::time::Instant;
 
 /// Chunks handed to the disk and not written yet, at most: one that is written, one that waits.
 pub(super) const QUEUE: usize = 2;
-/// Opcode, length and header of an uncompressed chunk.
+/// Bytes of an uncompressed chunk before its records: opcode, length, two times, size, checksum, compression, size.
 pub(super) const CHUNK_HEADER: usize = 9 + 8 + 8 + 8 + 4 + 4 + 8;
-/// The checksum of the records in it.
+/// Place of the records' checksum in those bytes.
 const CHUNK_CRC: Range<usize> = 33..37;
-/// Opcode, length and checksum of the record that ends the data section.
+/// Place of the checksum in the record that ends the data section.
 const DATA_END_CRC: Range<usize> = 9..13;
 
 /// How far the disk has come.
@@ -35,7 +35,7 @@ pub(super) struct Milestone {
     pub end: u64,
     /// ...is on the medium; otherwise it is in the file.
     pub durable: bool,
-    /// Since when.
+    /// When the disk thread reported it.
     pub at: Instant,
 }
 
@@ -46,13 +46,15 @@ struct Offer {
     crc: u32,
 }
 
-/// See the module.
+/// The bytes of a segment that have not left for the disk.
+///
+/// A segment makes it and shares it with the `mcap` writer, which writes into it. It promises that what it hands to the
+/// disk thread is a clean prefix of the file. It ends with [`Self::close`], or with [`Self::abandon`] after a failure.
 pub(super) struct Window {
     disk: Disk,
     staging: AlignedBuffer,
     /// Offset in the file of the first staged byte; a multiple of [`BLOCK`].
     base: u64,
-    /// Staged bytes.
     filled: usize,
     /// Where the next byte is staged; less than `filled` while a placeholder is patched.
     cursor: usize,
@@ -70,14 +72,17 @@ pub(super) struct Window {
     writes_under_way: usize,
     syncs_under_way: usize,
     memory: Vec<(AlignedBuffer, Vec<Run>)>,
-    milestones: Vec<Milestone>,
+    /// What the disk has done since they were taken last.
+    pub milestones: Vec<Milestone>,
     /// Length of the file after a failure.
     kept: Option<u64>,
     closed: bool,
     blocks_held: usize,
     blocks_under_way: std::collections::VecDeque<usize>,
-    blocks_high_water: usize,
-    copied_frames: u64,
+    /// Blocks that the window held at the same time, at most.
+    pub blocks_high_water: usize,
+    /// Announced frames that were copied because they did not lie where the disk can take them.
+    pub copied_frames: u64,
 }
 
 impl Window {
@@ -153,16 +158,6 @@ impl Window {
             self.blocks_held += 1;
             self.blocks_high_water = self.blocks_high_water.max(self.blocks_held);
         }
-    }
-
-    /// Blocks that the window held at the same time, at most.
-    pub fn blocks_high_water(&self) -> usize {
-        self.blocks_high_water
-    }
-
-    /// Announced frames that were copied because they did not lie where the disk can take them.
-    pub fn copied_frames(&self) -> u64 {
-        self.copied_frames
     }
 
     fn stage(&mut self, bytes: &[u8]) {
@@ -330,17 +325,12 @@ impl Window {
         }
         self.kept.unwrap_or(0)
     }
-
-    /// What the disk has done since the last call.
-    pub fn take_milestones(&mut self) -> std::vec::Drain<'_, Milestone> {
-        self.milestones.drain(..)
-    }
 }
 
 impl Drop for Window {
     fn drop(&mut self) {
         if !self.closed && self.kept.is_none() {
-            // Somebody gave up before `finish`: keep what there is. There is nobody left to tell.
+            // The segment was dropped before `finish`: what there is is kept. An error cannot be reported any more.
             let _ = self.close();
         }
     }

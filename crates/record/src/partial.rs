@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A copy of a segment that has its indexes and chosen frames, and holes elsewhere: what a reader of frames needs of a file
-//! that lies far away.
+//! A copy of a segment that has its indexes and chosen frames, and holes elsewhere: what a reader of frames needs of a
+//! file that lies far away.
 
 use super::layout::{KEY_INDEX_LENGTH, KEY_INDEX_OFFSET, SEGMENT_METADATA, segment_number};
 use super::metadata::{read_header, stated_index};
@@ -14,9 +14,9 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Fetched from both ends at first, bytes: the header, and most summaries.
+/// Bytes that are fetched from both ends at first: they have the header, and most summaries.
 const END: u64 = 1 << 20;
-/// A segment without an index is fetched whole, in pieces of this size, bytes.
+/// Bytes of a piece, in which a segment without an index is fetched whole.
 const PIECE: u64 = 16 << 20;
 
 /// Camera and trigger of a frame, and where its message is.
@@ -30,8 +30,8 @@ pub fn is_segment(name: &str) -> bool {
     segment_number(name).is_some()
 }
 
-/// Copies a segment of `size` bytes to `path`, of its frames only those that are wanted (by camera and trigger). A segment that was
-/// not closed is copied whole. Returns the bytes read.
+/// Copies a segment of `size` bytes to `path`, of its frames only those that are wanted (by camera and trigger). A
+/// segment that was not closed is copied whole. Returns the bytes read.
 pub fn copy_frames(
     size: u64,
     read: Read<'_>,
@@ -81,8 +81,8 @@ impl Copy<'_> {
         self.file.write_all_at(&bytes, range.start)
     }
 
-    /// Camera, trigger and place of all frames; `None` when the segment has no index that can be relied on. `tail`: from here on
-    /// everything is there.
+    /// Camera, trigger and place of all frames; `None` when the segment has no index that can be relied on. `tail`:
+    /// from here on everything is there.
     fn index(&self, there: &SegmentFile, tail: u64) -> std::io::Result<Option<Vec<FramePlace>>> {
         let Some(start) = summary_start(there) else { return Ok(None) };
         self.fetch(start as u64..tail)?;

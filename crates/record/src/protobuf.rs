@@ -1,132 +1,117 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The little of protobuf that a recording needs: a writer, a bounded reader, and descriptors.
+//! The part of protobuf that recordings and results need: a writer, a bounded reader, and descriptors.
 //!
 //! Wire format: <https://protobuf.dev/programming-guides/encoding/>. Descriptors:
 //! `google/protobuf/descriptor.proto`, whose field numbers are named where they are used.
 
-/// Wire types.
+use std::io::{Cursor, Write};
+
+/// Wire types of fields, as the encoding numbers them.
 const VARINT: u64 = 0;
 const I64: u64 = 1;
 const LEN: u64 = 2;
 const I32: u64 = 5;
 
-/// Where a message under construction grows.
-pub trait Buffer: Default {
-    /// Appends bytes.
-    fn append(&mut self, bytes: &[u8]);
-    /// Everything appended.
-    fn as_slice(&self) -> &[u8];
+/// Memory for a short message without allocation. What exceeds `N` bytes is dropped: the owner chooses `N` to suffice.
+pub type Fixed<const N: usize> = Cursor<[u8; N]>;
+
+/// The bytes that were written to fixed memory.
+pub fn written<const N: usize>(memory: &Fixed<N>) -> &[u8] {
+    &memory.get_ref()[..memory.position() as usize]
 }
 
-impl Buffer for Vec<u8> {
-    fn append(&mut self, bytes: &[u8]) {
-        self.extend_from_slice(bytes);
-    }
-
-    fn as_slice(&self) -> &[u8] {
-        self
-    }
-}
-
-/// At most `N` bytes without allocation; what is beyond is dropped, so the owner chooses `N` with care.
-pub struct Fixed<const N: usize> {
-    bytes: [u8; N],
-    length: usize,
-}
-
-impl<const N: usize> Default for Fixed<N> {
-    fn default() -> Self {
-        Self { bytes: [0; N], length: 0 }
-    }
-}
-
-impl<const N: usize> Buffer for Fixed<N> {
-    fn append(&mut self, bytes: &[u8]) {
-        let fitting = bytes.len().min(N - self.length);
-        self.bytes[self.length..self.length + fitting].copy_from_slice(&bytes[..fitting]);
-        self.length += fitting;
-    }
-
-    fn as_slice(&self) -> &[u8] {
-        &self.bytes[..self.length]
-    }
-}
-
-/// A message under construction.
+/// A message under construction, in a `Vec` or in [`Fixed`] memory.
 #[derive(Default)]
-pub struct MessageWriter<B = Vec<u8>> {
-    bytes: B,
+pub struct MessageWriter<B = Vec<u8>>(B);
+
+impl<const N: usize> MessageWriter<Fixed<N>> {
+    /// Begins a message in fixed memory.
+    pub fn fixed() -> Self {
+        Self(Cursor::new([0; N]))
+    }
 }
 
-impl<B: Buffer> MessageWriter<B> {
-    /// The encoded message.
+impl<B: Write> MessageWriter<B> {
+    /// The bytes of the message so far.
     pub fn into_bytes(self) -> B {
-        self.bytes
+        self.0
+    }
+
+    fn append(&mut self, bytes: &[u8]) {
+        // A `Vec` takes everything, fixed memory what fits.
+        let _ = self.0.write_all(bytes);
     }
 
     fn raw_varint(&mut self, mut value: u64) {
         while value >= 0x80 {
-            self.bytes.append(&[value as u8 | 0x80]);
+            self.append(&[value as u8 | 0x80]);
             value >>= 7;
         }
-        self.bytes.append(&[value as u8]);
+        self.append(&[value as u8]);
     }
 
-    fn tag(&mut self, field: u32, wire: u64) {
+    fn number(mut self, field: u32, wire: u64, value: &[u8]) -> Self {
         self.raw_varint(u64::from(field) << 3 | wire);
+        self.append(value);
+        self
     }
 
     /// An `int32`, `int64`, `uint32`, `uint64`, `bool` or enumeration field that is not negative.
-    pub fn varint(mut self, field: u32, value: u64) -> Self {
-        self.tag(field, VARINT);
-        self.raw_varint(value);
-        self
+    pub fn varint(self, field: u32, value: u64) -> Self {
+        let mut message = self.number(field, VARINT, &[]);
+        message.raw_varint(value);
+        message
     }
 
-    /// A `fixed32` field.
-    pub fn fixed32(mut self, field: u32, value: u32) -> Self {
-        self.tag(field, I32);
-        self.bytes.append(&value.to_le_bytes());
-        self
+    /// Appends a `fixed32` field, little-endian.
+    pub fn fixed32(self, field: u32, value: u32) -> Self {
+        self.number(field, I32, &value.to_le_bytes())
     }
 
-    /// A `fixed64` field.
-    pub fn fixed64(mut self, field: u32, value: u64) -> Self {
-        self.tag(field, I64);
-        self.bytes.append(&value.to_le_bytes());
-        self
+    /// Appends a `fixed64` field, little-endian.
+    pub fn fixed64(self, field: u32, value: u64) -> Self {
+        self.number(field, I64, &value.to_le_bytes())
+    }
+
+    /// Appends a `double` field, little-endian.
+    pub fn double(self, field: u32, value: f64) -> Self {
+        self.number(field, I64, &value.to_le_bytes())
     }
 
     /// A `string`, `bytes` or message field.
-    pub fn bytes(mut self, field: u32, value: &[u8]) -> Self {
-        self = self.bytes_header(field, value.len() as u64);
-        self.bytes.append(value);
-        self
+    pub fn bytes(self, field: u32, value: &[u8]) -> Self {
+        let mut message = self.bytes_header(field, value.len() as u64);
+        message.append(value);
+        message
     }
 
-    /// What stands in front of a `bytes` field whose value follows elsewhere.
-    pub fn bytes_header(mut self, field: u32, length: u64) -> Self {
-        self.tag(field, LEN);
-        self.raw_varint(length);
-        self
+    /// Tag and length of a `bytes` field whose value is written elsewhere.
+    pub fn bytes_header(self, field: u32, length: u64) -> Self {
+        let mut message = self.number(field, LEN, &[]);
+        message.raw_varint(length);
+        message
     }
 }
 
-/// A field's value.
+impl MessageWriter {
+    /// A field that is a message.
+    pub fn message(self, field: u32, value: Self) -> Self {
+        self.bytes(field, &value.0)
+    }
+}
+
+/// The value of a field, by its wire type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Value<'a> {
-    /// Any varint.
+pub(crate) enum Value<'a> {
     Varint(u64),
-    /// `fixed32` and its kin.
     Fixed32(u32),
-    /// `fixed64` and its kin.
     Fixed64(u64),
     /// A string, bytes or a message.
     Bytes(&'a [u8]),
 }
 
 /// Reads a message field by field, without allocating.
-pub struct MessageReader<'a> {
+pub(crate) struct MessageReader<'a> {
     message: &'a [u8],
     position: usize,
 }
@@ -137,7 +122,7 @@ impl<'a> MessageReader<'a> {
         Self { message, position: 0 }
     }
 
-    /// Bytes read so far.
+    /// Bytes of the message that were read so far.
     pub fn position(&self) -> usize {
         self.position
     }
@@ -173,7 +158,8 @@ impl<'a> MessageReader<'a> {
         self.field().map(Some).ok_or(())
     }
 
-    /// If the next field is this one, of bytes: their length, of which nothing is read. Stays in front of any other field.
+    /// If the next field is this one, of bytes: their length, of which nothing is read. Stays in front of any other
+    /// field.
     pub fn enter_bytes(&mut self, number: u64) -> Option<u64> {
         let start = self.position;
         let tag = self.raw_varint();
@@ -200,52 +186,69 @@ impl<'a> MessageReader<'a> {
     }
 }
 
-/// Type of a field, as `FieldDescriptorProto.Type` numbers them.
+/// Type of a field. Messages and enumerations carry the full name of their type.
 #[derive(Clone, Copy)]
-pub enum FieldType {
-    /// `int64`.
-    Int64 = 3,
-    /// `int32`.
-    Int32 = 5,
-    /// `fixed64`.
-    Fixed64 = 6,
-    /// `fixed32`.
-    Fixed32 = 7,
-    /// `string`.
-    String = 9,
-    /// `bytes`.
-    Bytes = 12,
+pub enum Kind {
+    Double,
+    Int64,
+    Int32,
+    Fixed64,
+    Fixed32,
+    Text,
+    Bytes,
+    Message(&'static str),
+    Repeated(&'static str),
+    Enum(&'static str),
 }
 
-/// Describes a singular field (`FieldDescriptorProto`: name 1, number 3, label 4, type 5).
-pub fn field(name: &str, number: u32, kind: FieldType) -> Vec<u8> {
-    let message = <MessageWriter>::default().bytes(1, name.as_bytes()).varint(3, number.into());
-    message.varint(4, 1).varint(5, kind as u64).into_bytes()
-}
-
-/// Describes a singular field that is a message (`FieldDescriptorProto`: type 11, type name 6).
-pub fn message_field(name: &str, number: u32, type_name: &str) -> Vec<u8> {
-    let message = <MessageWriter>::default().bytes(1, name.as_bytes()).varint(3, number.into());
-    message.varint(4, 1).varint(5, 11).bytes(6, type_name.as_bytes()).into_bytes()
-}
-
-/// Describes a proto3 file with one message (`FileDescriptorProto`: name 1, package 2, dependency 3, message
-/// type 4, syntax 12; `DescriptorProto`: name 1, field 2).
-pub fn file(path: &str, package: &str, imports: &[&str], message: &str, fields: &[Vec<u8>]) -> Vec<u8> {
-    let mut descriptor = <MessageWriter>::default().bytes(1, message.as_bytes());
-    for field in fields {
-        descriptor = descriptor.bytes(2, field);
+impl Kind {
+    /// Label (1 optional, 3 repeated), number in `FieldDescriptorProto.Type`, and the name of its type.
+    fn descriptor(self) -> (u64, u64, Option<&'static str>) {
+        match self {
+            Self::Double => (1, 1, None),
+            Self::Int64 => (1, 3, None),
+            Self::Int32 => (1, 5, None),
+            Self::Fixed64 => (1, 6, None),
+            Self::Fixed32 => (1, 7, None),
+            Self::Text => (1, 9, None),
+            Self::Bytes => (1, 12, None),
+            Self::Message(name) => (1, 11, Some(name)),
+            Self::Repeated(name) => (3, 11, Some(name)),
+            Self::Enum(name) => (1, 14, Some(name)),
+        }
     }
-    let mut file = <MessageWriter>::default().bytes(1, path.as_bytes()).bytes(2, package.as_bytes());
-    for import in imports {
-        file = file.bytes(3, import.as_bytes());
-    }
-    file.bytes(4, &descriptor.into_bytes()).bytes(12, b"proto3").into_bytes()
 }
 
-/// A `FileDescriptorSet` (file 1).
-pub fn file_set(files: &[Vec<u8>]) -> Vec<u8> {
-    files.iter().fold(<MessageWriter>::default(), |set, file| set.bytes(1, file)).into_bytes()
+/// Describes a message by name, number and type of its fields (`DescriptorProto`: name 1, field 2;
+/// `FieldDescriptorProto`: name 1, number 3, label 4, type 5, type name 6).
+pub fn describe(name: &str, fields: &[(&str, u32, Kind)]) -> MessageWriter {
+    let message = MessageWriter::default().bytes(1, name.as_bytes());
+    fields.iter().fold(message, |message, (name, number, kind)| {
+        let (label, number_of_type, type_name) = kind.descriptor();
+        let field = MessageWriter::default().bytes(1, name.as_bytes()).varint(3, u64::from(*number));
+        let field = field.varint(4, label).varint(5, number_of_type);
+        message.message(2, type_name.into_iter().fold(field, |field, name| field.bytes(6, name.as_bytes())))
+    })
+}
+
+/// Describes a proto3 file (`FileDescriptorProto`: name 1, package 2, dependency 3, message type 4, syntax 12).
+pub fn file(path: &str, package: &str, imports: &[&str], messages: Vec<MessageWriter>) -> MessageWriter {
+    let file = MessageWriter::default().bytes(1, path.as_bytes()).bytes(2, package.as_bytes());
+    let file = imports.iter().fold(file, |file, import| file.bytes(3, import.as_bytes()));
+    messages.into_iter().fold(file, |file, message| file.message(4, message)).bytes(12, b"proto3")
+}
+
+/// A `FileDescriptorSet` (file 1) of these files, behind that of `google.protobuf.Timestamp`, which all of them import.
+pub fn file_set(files: impl IntoIterator<Item = MessageWriter>) -> Vec<u8> {
+    let timestamp = describe("Timestamp", &[("seconds", 1, Kind::Int64), ("nanos", 2, Kind::Int32)]);
+    let timestamp = file("google/protobuf/timestamp.proto", "google.protobuf", &[], vec![timestamp]);
+    let files = std::iter::once(timestamp).chain(files);
+    files.fold(MessageWriter::default(), |set, file| set.message(1, file)).0
+}
+
+/// A time as `google.protobuf.Timestamp`, in whichever memory.
+pub fn timestamp<B: Write>(message: MessageWriter<B>, time_ns: u64) -> MessageWriter<B> {
+    message.varint(1, time_ns / 1_000_000_000).varint(2, time_ns % 1_000_000_000)
 }
 
 #[cfg(test)]

@@ -1,22 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads recordings: opens segments, knows the outcome of every trigger, checks every frame on access.
 
+use super::advice::{Advice, Rhythm};
 use super::belonging::{Belonging, Label};
 use super::envelope::{FrameMeta, parse_envelope_of};
+use super::files::{ReadError, RecordingFiles};
 use super::frame_check::{check_pixels, identify, read_front};
 use super::layout::{
-    CameraHeader, ClockSample, GapCause, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER,
-    KEY_JSON, KEY_RECORDS, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA, STATISTICS_METADATA,
-    TriggerRecord, VERDICT_METADATA, VERSION, image_topic,
+    CameraHeader, ClockSample, Entries, GapCause, GapRecord, HEADER_METADATA, KEY_END_TRIGGER,
+    KEY_FIRST_TRIGGER, KEY_JSON, KEY_RECORDS, MAX_TRIGGERS, NodeEvent, RecordingHeader, SEGMENT_METADATA,
+    STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA, VERSION,
 };
 use super::metadata::{
-    StatedHeader, foreign_reason, is_sound, of_most, parse_header, read_header, stated_index,
+    StatedHeader, foreign_reason, is_sound, of_most, parse_header, place_of, read_header, stated_index,
 };
-use super::scan::{End, Entries, Event, Walker, metadata_by_index, open_segment};
+use super::scan::{End, Event, Walker, metadata_by_index, open_segment};
 use super::segment_file::{BadRange, SegmentFile};
-use super::session::RecordingFiles;
 use super::statistics::WriteStatistics;
-pub(crate) use super::topic::Topic;
+use super::topic::{Topic, Topics};
 use super::verdict::{CameraVerdict, TriggerSet, Verdict};
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::Plane;
@@ -24,53 +25,40 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::PathBuf;
 
-/// Notes about one recording beyond this many are dropped: the first ones say what is wrong.
+/// Problems of one recording beyond this many are dropped: the first ones show what is wrong.
 const MAX_PROBLEMS: usize = 1000;
 
-/// Why a recording could not be opened at all.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ReadError {
-    /// There is none where one was named: a mistake of whoever named it.
-    #[error("{0}")]
-    Absent(String),
-    /// It is there and cannot be read, or is none of ours any more.
-    #[error("{0}")]
-    Unreadable(String),
-}
-
-/// Something about a segment's records that is not as it should be.
+/// Something wrong with the records of a segment.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problem {
-    /// The segment's number.
     pub segment: u32,
-    /// The camera concerned.
     pub camera: Option<CameraId>,
-    /// The trigger concerned.
     pub trigger: Option<TriggerIndex>,
     /// What was expected and found.
     pub message: String,
 }
 
-/// One segment.
+/// One segment of a recording, opened for reading.
 pub struct SegmentReader {
-    /// Its number.
     pub number: u32,
-    /// Its file.
     pub path: PathBuf,
     /// No frame of an earlier trigger belongs to it.
     pub first_trigger: u64,
     /// No frame from this trigger on belongs to it; unknown in the last segment and after a crash.
     pub end_trigger: Option<u64>,
-    /// How its records end.
     pub end: End,
-    /// `None` where it cannot be opened; [`Self::end`] says why.
+    /// `None` where it cannot be opened; [`Self::end`] has the reason.
     pub(crate) file: Option<SegmentFile>,
 }
 
 impl SegmentReader {
-    /// Whether it ends as a segment does that was closed.
-    pub fn is_closed(&self) -> bool {
-        self.end == End::Closed
+    /// How far its records go and what is there, if it does not end as a closed segment does.
+    pub fn broken(&self) -> Option<String> {
+        match &self.end {
+            End::Closed => None,
+            End::Cut { at } => Some(format!("not closed, usable up to byte {at} of {}", self.length())),
+            End::Damaged { at, reason } => Some(format!("damaged at byte {at}: {reason}")),
+        }
     }
 
     /// Its length when it was opened, bytes.
@@ -78,7 +66,7 @@ impl SegmentReader {
         self.file.as_ref().map_or(0, SegmentFile::len)
     }
 
-    /// What could not be read of it so far.
+    /// The bytes of it that could not be read so far.
     pub fn bad_ranges(&self) -> Vec<BadRange> {
         self.file.as_ref().map(SegmentFile::bad_ranges).unwrap_or_default()
     }
@@ -87,30 +75,36 @@ impl SegmentReader {
 /// How much of a recording to read when opening it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Extent {
-    /// All small records.
     Everything,
     /// Outcomes, trigger table and verdict, by way of the indexes.
     Outcomes,
 }
 
-/// What a camera has at a trigger.
+/// The outcome of a trigger for a camera.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Outcome {
     /// A frame: place of the segment in the recording, and of the message in it.
-    Frame { segment: usize, offset: usize, length: usize },
-    /// A gap record.
+    Frame {
+        segment: usize,
+        offset: usize,
+        length: usize,
+    },
     Gap(GapCause),
 }
 
-/// One node's recording.
+/// One node's recording, read from its files.
+///
+/// [`super::SessionReader`] and [`super::open_each`] make it. Its small records were read when it was opened; frames
+/// are read and checked on each access. It never writes, and what is damaged is in [`Self::problems`] instead of hiding
+/// the rest.
 pub struct RecordingReader {
     /// Its directory, or the single segment.
     pub path: PathBuf,
-    /// What it says about itself.
+    /// The header that most of its segments state.
     pub header: RecordingHeader,
-    /// What its records have to say about their session.
+    /// The mark that its records must have.
     pub(crate) belonging: Belonging,
-    /// In order.
+    /// In the order of their numbers.
     pub segments: Vec<SegmentReader>,
     /// The HSU's trigger table, by index.
     pub triggers: BTreeMap<TriggerIndex, TriggerRecord>,
@@ -122,7 +116,7 @@ pub struct RecordingReader {
     pub verdict: Option<Verdict>,
     /// How the disk kept up, if the recording was finished.
     pub statistics: Option<WriteStatistics>,
-    /// What was found wrong when opening.
+    /// Problems that were found when the recording was opened.
     pub problems: Vec<Problem>,
     /// Per camera of the header.
     pub(crate) outcomes: Vec<BTreeMap<u64, Outcome>>,
@@ -135,18 +129,14 @@ pub struct RecordingReader {
 /// Triggers of a camera in a row that have gap records of the same cause.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GapRun {
-    /// The triggers.
     pub triggers: std::ops::Range<u64>,
-    /// Their cause.
     pub cause: GapCause,
 }
 
 /// A frame that passed its checks.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedFrame {
-    /// Identity.
     pub meta: FrameMeta,
-    /// Pixels.
     pub image: Plane<u8>,
 }
 
@@ -175,14 +165,14 @@ impl RecordingReader {
         }
         let mut segments = Vec::new();
         for (number, path) in &files.segments {
-            let (file, end) = match open_segment(path) {
+            let opened = open_segment(path);
+            let stated = match &opened {
+                Ok(file) => read_header(file),
+                Err(reason) => Err(format!("{}: {reason}", path.display())),
+            };
+            let (file, end) = match opened {
                 Ok(file) => (Some(file), End::Cut { at: 0 }),
                 Err(reason) => (None, End::Damaged { at: 0, reason }),
-            };
-            let stated = match (&file, &end) {
-                (None, End::Damaged { reason, .. }) => Err(format!("{}: {reason}", path.display())),
-                (None, _) => Err(String::new()),
-                (Some(file), _) => read_header(file),
             };
             let segment = SegmentReader {
                 number: *number,
@@ -215,13 +205,14 @@ impl RecordingReader {
         for (segment, stated) in segments {
             match stated {
                 Ok(stated) if stated.is_foreign(&recording.header) => {
-                    recording.problem(segment.number, None, None, foreign_reason(&stated.header));
+                    recording.wrong(segment.number, foreign_reason(&stated.header));
                 }
                 _ => recording.add(segment, what),
             }
         }
         recording.leave_out_the_incredible();
-        super::advice::advise(&mut recording);
+        let advice = recording.advice();
+        recording.verdict.iter_mut().for_each(|verdict| verdict.advice.clone_from(&advice));
         Ok(recording)
     }
 
@@ -257,13 +248,18 @@ impl RecordingReader {
         }
     }
 
+    /// A problem of a segment as a whole.
+    pub(super) fn wrong(&mut self, segment: u32, message: impl Into<String>) {
+        self.problem(segment, None, None, message);
+    }
+
     fn add(&mut self, mut segment: SegmentReader, what: Extent) {
         let number = segment.number;
         let expected = self.segments.last().map_or(number, |last| last.number.saturating_add(1));
         if self.segments.last().is_some_and(|last| last.number == number) {
-            self.problem(number, None, None, "two files have this segment's number");
+            self.wrong(number, "two files have this segment's number");
         } else if number != expected {
-            self.problem(number, None, None, format!("expected segment {expected} here: it is missing"));
+            self.wrong(number, format!("expected segment {expected} here: it is missing"));
         }
         if let Some(file) = segment.file.take() {
             if what == Extent::Everything || !self.take_index(&mut segment, &file) {
@@ -276,36 +272,29 @@ impl RecordingReader {
 
     fn walk(&mut self, segment: &mut SegmentReader, file: &SegmentFile) {
         let (place, number) = (self.segments.len(), segment.number);
-        let topics: Vec<String> = self.header.cameras.iter().map(|c| image_topic(&c.id)).collect();
-        let mut channels: BTreeMap<u16, Topic> = BTreeMap::new();
-        let mut walker = Walker::new(file);
+        let mut topics = Topics::of(&self.header);
+        let mut walker = Walker::new(file).over_holes();
         let mut payload = Vec::new();
-        loop {
-            for event in walker.by_ref() {
-                match event {
-                    Event::Channel { id, topic } => {
-                        channels.insert(id, Topic::of(&topic, &topics));
+        for event in walker.by_ref() {
+            match event {
+                Event::Channel { id, topic } => topics.announce(id, &topic),
+                Event::Message { channel, sequence, data } => match topics.carried_by(channel) {
+                    Topic::Image(camera) => {
+                        let outcome =
+                            Outcome::Frame { segment: place, offset: data.start, length: data.len() };
+                        self.outcome(number, camera, u64::from(sequence), outcome);
                     }
-                    Event::Message { channel, sequence, data } => {
-                        let topic = channels.get(&channel).copied().unwrap_or(Topic::Other);
-                        if let Topic::Image(camera) = topic {
-                            let outcome =
-                                Outcome::Frame { segment: place, offset: data.start, length: data.len() };
-                            self.outcome(number, camera, u64::from(sequence), outcome);
-                        } else if topic != Topic::Other {
-                            payload.resize(data.len(), 0);
-                            // What cannot be read is told of the segment as a whole.
-                            if file.read(data.start, &mut payload).is_ok() {
-                                self.small_record(number, topic, &payload);
-                            }
+                    Topic::Other => {}
+                    topic => {
+                        payload.resize(data.len(), 0);
+                        // What cannot be read is a problem of the segment as a whole.
+                        if file.read(data.start, &mut payload).is_ok() {
+                            self.small_record(number, topic, &payload);
                         }
                     }
-                    Event::Metadata { name, entries } => self.metadata(segment, &name, &entries),
-                    Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
-                }
-            }
-            if !walker.go_on() {
-                break;
+                },
+                Event::Metadata { name, entries } => self.metadata(segment, &name, &entries),
+                Event::DataEnd { .. } | Event::Footer { .. } | Event::Chunk { .. } => {}
             }
         }
         segment.end = walker.end();
@@ -320,10 +309,9 @@ impl RecordingReader {
         }
         let (place, number) = (self.segments.len(), segment.number);
         for (camera, trigger, offset, length) in index.frames {
-            let (Ok(offset), Ok(length)) = (usize::try_from(offset), usize::try_from(length)) else {
-                continue;
-            };
-            self.outcome(number, camera as usize, trigger, Outcome::Frame { segment: place, offset, length });
+            let Some(message) = place_of(offset, length) else { continue };
+            let outcome = Outcome::Frame { segment: place, offset: message.start, length: message.len() };
+            self.outcome(number, camera as usize, trigger, outcome);
         }
         index.gaps.iter().for_each(|gap| self.gap(number, gap));
         let rows = index.triggers.into_iter().flatten().map(TriggerRecord::of_row);
@@ -371,7 +359,7 @@ impl RecordingReader {
     fn small_record(&mut self, segment: u32, topic: Topic, bytes: &[u8]) {
         let label = Label::of(bytes);
         if let Err(reason) = self.belonging.check(label.session) {
-            return self.problem(segment, None, None, format!("{topic:?}: {reason}"));
+            return self.wrong(segment, format!("{topic:?}: {reason}"));
         }
         if let Some(number) = label.number {
             self.numbers.insert(number);
@@ -384,7 +372,7 @@ impl RecordingReader {
             Topic::Image(_) | Topic::Other => Ok(()),
         };
         if let Err(error) = result {
-            self.problem(segment, None, None, format!("a record of {topic:?} is not readable: {error}"));
+            self.wrong(segment, format!("a record of {topic:?} is not readable: {error}"));
         }
     }
 
@@ -394,16 +382,11 @@ impl RecordingReader {
         if let Err(reason) = self.belonging.check(session)
             && marked
         {
-            return self.problem(segment.number, None, None, format!("{name}: {reason}"));
+            return self.wrong(segment.number, format!("{name}: {reason}"));
         }
         let number = |key| entries.get(key).and_then(|text: &String| text.parse::<u64>().ok());
         if is_sound(entries) == Some(false) {
-            self.problem(
-                segment.number,
-                None,
-                None,
-                format!("its metadata record {name} fails its checksum"),
-            );
+            self.wrong(segment.number, format!("its metadata record {name} fails its checksum"));
         }
         match name {
             HEADER_METADATA => match parse_header(entries) {
@@ -411,15 +394,15 @@ impl RecordingReader {
                     segment.first_trigger = number(KEY_FIRST_TRIGGER).unwrap_or(0);
                     self.check_names(segment, entries, &stated.header);
                     if stated.number != segment.number {
-                        let message = format!("the file says that it is segment {}", stated.number);
-                        self.problem(segment.number, None, None, message);
+                        let message = format!("its header states segment number {}", stated.number);
+                        self.wrong(segment.number, message);
                     }
                     if stated.header != self.header {
                         let message = "its header differs from that of the other segments";
-                        self.problem(segment.number, None, None, message);
+                        self.wrong(segment.number, message);
                     }
                 }
-                Err(message) => self.problem(segment.number, None, None, message),
+                Err(message) => self.wrong(segment.number, message),
             },
             SEGMENT_METADATA => segment.end_trigger = number(KEY_END_TRIGGER),
             // Of a kind that is nice to have: one that is not readable is no problem.
@@ -436,7 +419,7 @@ impl RecordingReader {
                     }
                     Err(error) => {
                         let message = format!("the stored verdict is not readable: {error}");
-                        self.problem(segment.number, None, None, message);
+                        self.wrong(segment.number, message);
                     }
                 }
             }
@@ -444,8 +427,8 @@ impl RecordingReader {
         }
     }
 
-    /// The frame of a camera (its place in the header) at a trigger, checked; `Ok(Err(cause))` for a gap. An error names the
-    /// camera and the trigger.
+    /// The frame of a camera (its place in the header) at a trigger, checked; `Ok(Err(cause))` for a gap. An error
+    /// names the camera and the trigger.
     pub fn frame(
         &self,
         camera: usize,
@@ -454,8 +437,8 @@ impl RecordingReader {
         self.outcome_at(camera, trigger, |file, place| self.read_frame(file, place, camera, trigger))
     }
 
-    /// The identity of a camera's frame (its place in the header) at a trigger, without a look at its pixels; `Ok(Err(cause))`
-    /// for a gap.
+    /// The identity of a camera's frame (its place in the header) at a trigger, without reading its pixels;
+    /// `Ok(Err(cause))` for a gap.
     pub fn frame_meta(
         &self,
         camera: usize,
@@ -469,7 +452,7 @@ impl RecordingReader {
         })
     }
 
-    /// What a camera has at a trigger; of a frame what `read` makes of its message.
+    /// The outcome of a trigger for a camera; for a frame, what `read` returns for its message.
     fn outcome_at<T>(
         &self,
         camera: usize,
@@ -515,6 +498,22 @@ impl RecordingReader {
         Ok(RecordedFrame { meta, image: image.ok_or("pixels do not fill the frame")? })
     }
 
+    /// The advice that follows from the order of its outcomes.
+    pub(crate) fn advice(&self) -> Advice {
+        let rhythm = |outcomes: &BTreeMap<u64, Outcome>| {
+            let mut rhythm = Rhythm::default();
+            for (trigger, outcome) in outcomes {
+                match outcome {
+                    Outcome::Frame { .. } => rhythm.frame(*trigger),
+                    Outcome::Gap(cause) => rhythm.gap(*trigger, *cause),
+                }
+            }
+            rhythm
+        };
+        let rhythms: Vec<Rhythm> = self.outcomes.iter().map(rhythm).collect();
+        Advice::of(rhythms.iter().zip(&self.counted()))
+    }
+
     /// Outcomes of each camera, counted from the records.
     pub fn counted(&self) -> Vec<CameraVerdict> {
         let count = |(camera, outcomes): (&CameraHeader, &BTreeMap<u64, Outcome>)| {
@@ -528,6 +527,11 @@ impl RecordingReader {
             counted
         };
         self.header.cameras.iter().zip(&self.outcomes).map(count).collect()
+    }
+
+    /// Length of all segments together, bytes.
+    pub fn bytes(&self) -> u64 {
+        self.segments.iter().map(|segment| segment.length() as u64).sum()
     }
 
     /// How many small records there were, as far as is known.
@@ -549,8 +553,8 @@ impl RecordingReader {
         self.known_end().max(stated.min(MAX_TRIGGERS))
     }
 
-    /// Whether it was broken off, as its verdict says, and never learned how many triggers the HSU emitted: the session may
-    /// have more than it has outcomes for.
+    /// Whether it was aborted, by its verdict, and never received the HSU's count: the session may have more triggers
+    /// than it has outcomes for.
     fn ended_unknowing(&self) -> bool {
         self.verdict
             .as_ref()

@@ -11,13 +11,14 @@ mod salvage;
 
 use super::credible::most_triggers;
 use super::direct_io::{rename_new, sync_directory};
+use super::files::{RecordingFiles, find, node_dir};
 use super::layout::GapCause;
 use super::reader::{Extent, RecordingReader};
-use super::session::{RecordingFiles, find, node_dir};
 use super::verdict::Verdict;
 use super::writer::RecordError;
 use crate::base::ids::{CameraId, NodeId, TriggerIndex};
 use merge::{Salvage, salvage};
+pub use salvage::Damage;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -28,90 +29,50 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Kind of the event that marks a recovered recording.
 pub const RECOVERED: &str = "recovered";
 
-/// What its message says where places were damaged, and where records were lost.
+/// Text in its message where places were damaged.
 const DAMAGED: &str = "damaged places";
+/// Text in its message where small records were lost.
 const RECORDS_LOST: &str = "small records lost";
 
-/// Whether a recording is a copy of a damaged one: what its header says may be wrong, and records may be missing that explain
-/// something.
+/// Whether a recording is a copy of a damaged one: its header may be wrong, and records may be missing that explain
+/// irregularities.
 pub(super) fn is_of_damaged(recording: &RecordingReader) -> bool {
     let damaged = |message: &str| message.contains(DAMAGED) || message.contains(RECORDS_LOST);
     recording.events.iter().any(|event| event.kind == RECOVERED && damaged(&event.message))
 }
 
-/// Why nothing was recovered.
+/// Why nothing was recovered; the source is as it was.
 #[derive(Debug, thiserror::Error)]
 pub enum RecoverError {
     /// There is nothing at the path that could be a recording.
     #[error("{0}")]
     NotFound(String),
-    /// Nothing is ever overwritten.
+    /// The output exists, and nothing is ever overwritten.
     #[error("{path} exists; recovery never overwrites: name a directory that does not exist")]
-    Exists {
-        /// The output.
-        path: PathBuf,
-    },
+    Exists { path: PathBuf },
     /// Something is there, but nothing of it can be used.
     #[error("{path}: {reason}; nothing can be recovered")]
-    Unusable {
-        /// The recording or segment.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
+    Unusable { path: PathBuf, reason: String },
     /// The output could not be written.
     #[error("{path}: {reason}; nothing was left there, the source is as it was")]
-    Output {
-        /// The output.
-        path: PathBuf,
-        /// What went wrong.
-        reason: String,
-    },
-}
-
-/// A place in a segment that is not as it was written.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Damage {
-    /// The segment's number.
-    pub segment: u32,
-    /// First byte concerned.
-    pub from: u64,
-    /// Where usable records go on; 0 when the segment as such is concerned.
-    pub to: u64,
-    /// What was expected and found.
-    pub reason: String,
-}
-
-impl fmt::Display for Damage {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.to {
-            0 => write!(f, "segment {}: {}", self.segment, self.reason),
-            to => write!(f, "segment {} bytes {} to {to}: {}", self.segment, self.from, self.reason),
-        }
-    }
+    Output { path: PathBuf, reason: String },
 }
 
 /// Gap records that recovery had to add: a run of triggers of one camera.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct AddedGaps {
-    /// The camera.
     pub camera: CameraId,
-    /// First trigger.
     pub first: TriggerIndex,
-    /// Last trigger.
     pub last: TriggerIndex,
-    /// Why.
     pub cause: GapCause,
 }
 
-/// One node's recording, recovered.
+/// The recovered recording of one node.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct RecoveredRecording {
-    /// The node.
     pub node: NodeId,
-    /// What it was made of.
+    /// The recording or segment that it was made of.
     pub source: PathBuf,
-    /// Where it is.
     pub out: PathBuf,
     /// Whether the source had no verdict.
     pub interrupted: bool,
@@ -131,20 +92,18 @@ impl RecoveredRecording {
         !self.interrupted && self.lossless_until_interrupted()
     }
 
-    /// The same of what was written until it was interrupted, if it was.
+    /// The same, not counting that it was interrupted.
     pub fn lossless_until_interrupted(&self) -> bool {
         self.added.is_empty() && self.damage.is_empty() && self.records_lost == 0
     }
 }
 
-/// What was recovered.
+/// What was recovered of a session, a recording or a segment.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Recovery {
-    /// The source.
     pub source: PathBuf,
     /// The result: a session if the source was one, else a recording.
     pub out: PathBuf,
-    /// Per node.
     pub recordings: Vec<RecoveredRecording>,
     /// Recordings of the session of which nothing can be used, and why.
     pub unusable: Vec<String>,
@@ -162,7 +121,7 @@ impl Recovery {
 struct SessionExtent {
     /// Triggers of every recording; `None` leaves each one's own.
     triggers: Option<u64>,
-    /// What the HSU counted, if `triggers` is given.
+    /// The HSU's count, if `triggers` is given.
     emitted: Option<u64>,
 }
 
@@ -190,7 +149,7 @@ pub fn recover(
     for files in &files {
         match salvage(files, &advance) {
             Ok(one) => salvaged.push(one),
-            Err(error) => unusable.push(error),
+            Err(reason) => unusable.push(RecoverError::Unusable { path: files.path.clone(), reason }),
         }
     }
     if salvaged.is_empty() {
@@ -223,14 +182,14 @@ pub fn recover(
     Ok(Recovery { source: path.to_owned(), out: out.to_owned(), recordings, unusable })
 }
 
-/// A header that had to be made anew, or that no checksum proves, learns from a better one of the same session.
+/// A header that was rebuilt, or that no checksum proves, is completed from a better one of the same session.
 fn adopt_headers(salvaged: &mut [Salvage]) {
     let proven = salvaged.iter().find(|one| one.proven).map(|one| one.header.clone());
     if let Some(proven) = &proven {
         salvaged.iter_mut().filter(|one| !one.proven).for_each(|one| header::adopt(&mut one.header, proven));
     } else if let Some(readable) = salvaged.iter().find(|one| !one.rebuilt).map(|one| one.header.clone()) {
-        let anew = salvaged.iter_mut().filter(|one| one.rebuilt);
-        anew.for_each(|one| header::adopt(&mut one.header, &readable));
+        let rebuilt = salvaged.iter_mut().filter(|one| one.rebuilt);
+        rebuilt.for_each(|one| header::adopt(&mut one.header, &readable));
     }
 }
 
@@ -265,7 +224,7 @@ fn publish(partial: &Path, out: &Path) -> io::Result<()> {
     sync_directory(out.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new(".")))
 }
 
-/// Where the output is while it is incomplete: beside its place, hidden, of this process.
+/// Path of the output while it is incomplete: beside its place, hidden, with the number of this process.
 fn partial_path(out: &Path) -> PathBuf {
     let name = out.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     out.with_file_name(format!(".{name}.partial-{}", std::process::id()))
@@ -281,8 +240,7 @@ fn extent_of(salvaged: &[Salvage], path: &Path, is_session: bool) -> SessionExte
         group.map(|one| (one.end(), one.emitted())).unzip();
     for other in if is_session { Vec::new() } else { siblings(path) } {
         if same(&other.header.session_id) && other.header.node != first.header.node {
-            let bytes = other.segments.iter().map(|segment| segment.length() as u64).sum();
-            ends.push(other.triggers_end().min(most_triggers(bytes)));
+            ends.push(other.triggers_end().min(most_triggers(other.bytes())));
             counts.push(other.verdict.as_ref().and_then(|verdict| verdict.triggers_emitted));
         }
     }
@@ -304,7 +262,7 @@ fn siblings(path: &Path) -> Vec<RecordingReader> {
     others.filter_map(|files| RecordingReader::open(files, Extent::Outcomes).ok()).collect()
 }
 
-/// What writing the result fails with.
+/// The result of writing a part of the copy.
 type WriteResult<T> = Result<T, RecordError>;
 
 /// Counts of added gap records, by cause.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What people think of a recording: a rating and a note, beside the recording and never in it.
+//! The operator's rating and note of a recording, beside the recording and never in it.
 //!
 //! It lies in the session's directory as `remark-NODE.json`, so that a recording stays as its verdict describes it.
 
@@ -15,11 +15,11 @@ use std::time::SystemTime;
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Rating {
-    /// To be used.
+    /// The take is to be used.
     Good,
-    /// To be looked at.
+    /// The take has to be checked before it is used.
     Doubtful,
-    /// Not to be used.
+    /// The take is not to be used.
     Bad,
 }
 
@@ -28,7 +28,7 @@ pub enum Rating {
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Remark {
-    /// How good it is.
+    /// How good the take is; null where no rating was given.
     #[serde(deserialize_with = "present")]
     #[cfg_attr(feature = "schema", schema(required = true))]
     pub rating: Option<Rating>,
@@ -51,7 +51,7 @@ fn file(session: &Path, node: &NodeId) -> PathBuf {
 }
 
 impl Remark {
-    /// What may be kept, or what is wrong with it.
+    /// Checks whether it may be stored.
     ///
     /// # Errors
     /// The note is too long, or is more than one line of printable text.
@@ -68,7 +68,7 @@ impl Remark {
         write_whole(&file(session, node), |file| file.write_all(&text))
     }
 
-    /// What was kept; `None` where there is nothing that can be read.
+    /// The stored remark; `None` where there is none that can be read.
     pub fn load(session: &Path, node: &NodeId) -> Option<Self> {
         let text = regular::read(&file(session, node), BYTES_MAX).ok()?;
         json::from_slice(&text).ok().filter(|remark: &Self| remark.check().is_ok())
@@ -86,7 +86,7 @@ mod tests {
     use crate::base::ids::NodeId;
 
     #[test]
-    fn a_remark_comes_back_and_what_is_none_is_not_believed() {
+    fn a_remark_reads_back_and_other_files_are_refused() {
         let dir = tempfile::tempdir().expect("a directory");
         let node = NodeId::from("a");
         assert_eq!(Remark::load(dir.path(), &node), None);

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Walks the records of an MCAP file, as far as they are whole.
 //!
-//! Made for files that a crash has cut, for disks that fail, and for bytes that nobody vouches for: what is allocated by
-//! a length found in the file is bounded, no record is trusted to fit, pixels are not read. A record that cannot be
-//! read is passed over where its length is known.
-//! Record layouts: <https://mcap.dev/spec>.
+//! Made for files that a crash has cut, for disks that fail, and for untrusted bytes: what is allocated by a length
+//! found in the file is bounded, no record is assumed to fit, pixels are not read. A record that cannot be read is
+//! passed over where its length is known. Record layouts: <https://mcap.dev/spec>.
 
 mod compressed;
 mod find;
 
-use super::segment_file::{Pieces, SegmentFile};
+use super::layout::Entries;
+use super::segment_file::{BadRange, Pieces, SegmentFile};
 use mcap::MAGIC;
 use mcap::records::op;
 use std::collections::BTreeMap;
@@ -23,70 +23,57 @@ pub use find::{Found, budget, find, is_json};
 const MAX_SMALL_RECORD: usize = 16 << 20;
 /// Messages larger than this are refused: it bounds what is read into memory at once. No camera has as many pixels.
 pub const MAX_MESSAGE: usize = 512 << 20;
-/// Metadata records of a segment, at most: ours has four. What a summary names beyond is no summary of ours.
+/// Most metadata records that a summary may name: a segment of this program has four.
 const MAX_METADATA: usize = 16;
-/// Opcode and length.
-const PREAMBLE: usize = 9;
+/// Bytes of a record before its body: opcode and length.
+pub const PREAMBLE: usize = 9;
 /// A chunk's fields before its records: two times, size, checksum, the name of a compression, size.
 const MAX_CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4 + 64 + 8;
 /// A message's record without its payload: preamble, channel, sequence, two times.
 pub const MESSAGE_HEADER: usize = PREAMBLE + 2 + 4 + 8 + 8;
 
-/// What a metadata record says.
-pub type Entries = BTreeMap<String, String>;
-
 /// Something found in the file, in file order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Event {
-    /// A metadata record.
     Metadata {
-        /// Its name.
         name: String,
-        /// Its entries.
         entries: Entries,
     },
-    /// A channel.
     Channel {
-        /// Its number in messages.
         id: u16,
-        /// Its topic.
         topic: String,
     },
     /// A chunk; its messages follow.
     Chunk {
-        /// Where its records are.
         records: Range<usize>,
         /// CRC-32 of the records; 0 means none was computed.
         crc: u32,
         /// Whether all of it is there.
         whole: bool,
     },
-    /// A message.
     Message {
-        /// Number of its channel.
         channel: u16,
         /// For frames and gaps the trigger index (its low 32 bits).
         sequence: u32,
-        /// Where its payload is.
         data: Range<usize>,
     },
     /// The end of the data section: what follows repeats what came before.
     DataEnd {
-        /// Where the record begins, which is what the checksum covers.
+        /// Offset of the record; the checksum covers all before it.
         offset: usize,
         /// CRC-32 of everything before; 0 means none was computed.
         crc: u32,
     },
-    /// The last record.
+    /// The footer, which is the last record.
     Footer {
-        /// What its checksum covers: the summary, and the footer up to the checksum.
+        /// Bytes that its checksum covers: the summary, and the footer up to the checksum.
         covered: Range<usize>,
         /// CRC-32 of the summary; 0 means none was computed.
         crc: u32,
     },
 }
 
-/// How the walk ended.
+/// How the walk through the records ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum End {
     /// At the file's closing magic.
@@ -98,17 +85,19 @@ pub enum End {
     },
     /// The bytes at `at` are not what a recording has there.
     Damaged {
-        /// Offset.
         at: usize,
         /// What was expected and found.
         reason: String,
     },
 }
 
-/// The walk.
+/// Walks through the records of a segment, in the order of the file.
+///
+/// Reader, verification and recovery each make one for a pass over a file. It borrows the file, promises to end for any
+/// bytes whatever, and states in [`Self::end`] why it ended.
 pub struct Walker<'a> {
     pieces: Pieces<'a>,
-    /// Where the walk ends, at the latest.
+    /// Offset at which the walk ends at the latest.
     limit: usize,
     position: usize,
     /// End of the open chunk, which may lie beyond the file.
@@ -116,7 +105,9 @@ pub struct Walker<'a> {
     end: Option<End>,
     /// Behind the bytes that the walk stopped at because they cannot be read.
     unreadable_to: Option<usize>,
-    /// Bytes that may still be looked at for where to go on.
+    /// Whether the walk goes on behind bytes that cannot be read.
+    goes_on: bool,
+    /// Bytes that may still be examined to find where to go on.
     budget: usize,
 }
 
@@ -126,11 +117,11 @@ impl<'a> Walker<'a> {
         let mut walker = Self::resume(file, MAGIC.len());
         let length = file.len().min(MAGIC.len());
         match walker.pieces.get(0..length) {
-            // The magic says nothing that the records behind it do not say.
+            // The records behind the magic prove as much as the magic.
             Err(_) => {}
             Ok(bytes) if bytes == MAGIC => {}
             Ok(bytes) if MAGIC.starts_with(bytes) => walker.end = Some(End::Cut { at: 0 }),
-            Ok(_) => walker.damaged(0, "expected the magic of an MCAP file"),
+            Ok(_) => walker.damaged(0, "expected the magic of an MCAP file").unwrap_or(()),
         }
         walker
     }
@@ -144,7 +135,13 @@ impl<'a> Walker<'a> {
     pub fn within(file: &'a SegmentFile, range: Range<usize>) -> Self {
         let (limit, position) = (range.end.min(file.len()), range.start);
         let (pieces, budget) = (Pieces::new(file), budget(file.len()));
-        Self { pieces, limit, position, chunk_end: None, end: None, unreadable_to: None, budget }
+        let (goes_on, chunk_end, end, unreadable_to) = (false, None, None, None);
+        Self { pieces, limit, position, chunk_end, end, unreadable_to, goes_on, budget }
+    }
+
+    /// Goes on behind bytes that cannot be read, at the next place that is a record without doubt.
+    pub fn over_holes(self) -> Self {
+        Self { goes_on: true, ..self }
     }
 
     /// How the walk ended; `Cut` at the current place before that.
@@ -152,48 +149,48 @@ impl<'a> Walker<'a> {
         self.end.clone().unwrap_or(End::Cut { at: self.position })
     }
 
-    /// If it ended because bytes cannot be read: goes on at the next place that is a record without doubt. `false` where
-    /// that is not why, or where there is none.
-    pub fn go_on(&mut self) -> bool {
-        let Some(to) = self.unreadable_to.take() else { return false };
-        match find(self.pieces.file(), to, &mut self.budget) {
-            Some(found) => {
-                let at = match found {
-                    Found::Record(at) => at,
-                    // Its own record is what cannot be read: who walks by records goes on behind it.
-                    Found::Frame(message) => message.end,
-                };
-                (self.position, self.chunk_end, self.end) = (at, None, None);
-                true
-            }
-            None => false,
-        }
+    /// If the walk ended because bytes cannot be read: moves to the next record behind them; `false` where there is
+    /// none.
+    fn go_on(&mut self) -> bool {
+        let to = self.unreadable_to.take().filter(|_| self.goes_on);
+        let found = to.and_then(|to| find(self.pieces.file(), to, &mut self.budget));
+        let Some(found) = found else { return false };
+        self.position = match found {
+            Found::Record(at) => at,
+            // Its own record is what cannot be read: who walks by records goes on behind it.
+            Found::Frame(message) => message.end,
+        };
+        (self.chunk_end, self.end) = (None, None);
+        true
     }
 
-    fn damaged(&mut self, at: usize, reason: impl Into<String>) {
+    /// Ends the walk at damage.
+    fn damaged<T>(&mut self, at: usize, reason: impl Into<String>) -> Option<T> {
         self.end.get_or_insert(End::Damaged { at, reason: reason.into() });
+        None
     }
 
-    /// What is left after the last whole record: cut, or the zeros that a sync leaves behind.
-    fn stop_at_rest(&mut self) {
-        let at = self.position;
-        self.end.get_or_insert(End::Cut { at });
+    /// Ends the walk at bytes that cannot be read.
+    fn unreadable<T>(&mut self, at: usize, bad: &BadRange) -> Option<T> {
+        self.unreadable_to = Some(bad.to);
+        self.damaged(at, bad.to_string())
+    }
+
+    /// Ends the walk behind the last whole record: the rest is cut, or the zeros that a sync leaves behind.
+    fn stop_at_rest<T>(&mut self) -> Option<T> {
+        self.end.get_or_insert(End::Cut { at: self.position });
+        None
     }
 
     /// Opcode and length of the record that begins here; `None` where the walk ends.
     fn preamble(&mut self, start: usize) -> Option<(u8, u64)> {
         let limit = self.chunk_end.unwrap_or(usize::MAX).min(self.limit);
         if limit.saturating_sub(start) < PREAMBLE {
-            self.stop_at_rest();
-            return None;
+            return self.stop_at_rest();
         }
         match self.pieces.get(start..start + PREAMBLE) {
             Ok(bytes) => preamble(bytes),
-            Err(bad) => {
-                self.unreadable_to = Some(bad.to);
-                self.damaged(start, bad.to_string());
-                None
-            }
+            Err(bad) => self.unreadable(start, &bad),
         }
     }
 
@@ -207,22 +204,15 @@ impl<'a> Walker<'a> {
             let (opcode, length) = self.preamble(start)?;
             if opcode == 0 && self.limit == self.pieces.file().len() && self.pieces.file().is_zero_from(start)
             {
-                self.stop_at_rest();
-                break;
+                return self.stop_at_rest();
             }
             let body = start + PREAMBLE;
             let end = usize::try_from(length).ok().and_then(|length| body.checked_add(length));
             if opcode == op::CHUNK && self.chunk_end.is_none() {
-                match self.chunk(start, body, end) {
-                    Some(event) => return Some(event),
-                    None => break,
-                }
+                return self.chunk(start, body, end);
             }
             let inside = |end: &usize| *end <= self.limit && self.chunk_end.is_none_or(|c| *end <= c);
-            let Some(end) = end.filter(inside) else {
-                self.too_long(start, end);
-                break;
-            };
+            let Some(end) = end.filter(inside) else { return self.too_long(start, end) };
             self.position = end;
             if let Some(event) = self.record(opcode, start, body..end) {
                 return Some(event);
@@ -232,13 +222,11 @@ impl<'a> Walker<'a> {
     }
 
     /// A record that leaves its chunk is damage; one that leaves the file is a cut, or damage to its length.
-    fn too_long(&mut self, start: usize, end: Option<usize>) {
+    fn too_long(&mut self, start: usize, end: Option<usize>) -> Option<Event> {
         match (end, self.chunk_end) {
             (Some(end), Some(chunk_end)) if end > chunk_end => {
-                self.damaged(
-                    start,
-                    format!("a record reaches to byte {end}, but its chunk ends at {chunk_end}"),
-                );
+                let reason = format!("a record reaches to byte {end}, but its chunk ends at {chunk_end}");
+                self.damaged(start, reason)
             }
             (None, _) => self.damaged(start, "a record's length exceeds any file's"),
             _ => self.stop_at_rest(),
@@ -247,52 +235,32 @@ impl<'a> Walker<'a> {
 
     /// Enters a chunk. One that is cut is entered as well: the messages before the cut are whole.
     fn chunk(&mut self, start: usize, body: usize, end: Option<usize>) -> Option<Event> {
-        let Some(end) = end else {
-            self.damaged(start, "a chunk's length exceeds any file's");
-            return None;
-        };
+        let Some(end) = end else { return self.damaged(start, "a chunk's length exceeds any file's") };
         let there = end.min(self.limit);
         let header = match self.pieces.get(body..there.min(body + MAX_CHUNK_FIELDS)) {
             Ok(bytes) => bytes,
-            Err(bad) => {
-                self.unreadable_to = Some(bad.to);
-                self.damaged(start, bad.to_string());
-                return None;
-            }
+            Err(bad) => return self.unreadable(start, &bad),
         };
-        let mut fields = Fields { bytes: header, position: 0 };
-        let parsed = (|| {
-            fields.u64()?;
-            fields.u64()?;
-            let uncompressed = fields.u64()?;
-            let crc = fields.u32()?;
-            let compression = fields.text()?.to_owned();
-            let compressed = fields.u64()?;
-            Some((uncompressed, crc, compression, compressed))
-        })();
-        let header_bytes = fields.position;
-        let Some((uncompressed, crc, compression, compressed)) = parsed else {
-            if end > self.limit {
-                self.stop_at_rest();
-            } else {
-                self.damaged(start, "a chunk without its header");
-            }
-            return None;
+        let Some(ChunkHeader { uncompressed, crc, compression, compressed, length }) =
+            ChunkHeader::of(header)
+        else {
+            return match end > self.limit {
+                true => self.stop_at_rest(),
+                false => self.damaged(start, "a chunk without its header"),
+            };
         };
         if !compression.is_empty() {
             let reason = match is_compression(&compression) {
                 true => compressed_reason(&compression),
                 false => format!("a chunk compressed with {compression:?}; recordings are not compressed"),
             };
-            self.damaged(start, reason);
-            return None;
+            return self.damaged(start, reason);
         }
-        let records = body + header_bytes..end;
+        let records = body + length..end;
         let length = (end - records.start) as u64;
         if uncompressed != length || compressed != length {
             let reason = format!("a chunk of {length} bytes states {uncompressed} and {compressed}");
-            self.damaged(start, reason);
-            return None;
+            return self.damaged(start, reason);
         }
         self.position = records.start;
         self.chunk_end = Some(end);
@@ -303,10 +271,7 @@ impl<'a> Walker<'a> {
         let known = match opcode {
             op::MESSAGE | op::METADATA | op::CHANNEL | op::DATA_END => true,
             op::FOOTER => self.chunk_end.is_none(),
-            op::MESSAGE_INDEX => {
-                self.message_index(start, &body);
-                return None;
-            }
+            op::MESSAGE_INDEX => return self.message_index(start, &body),
             op::HEADER | op::SCHEMA => return None,
             op::CHUNK_INDEX..=op::SUMMARY_OFFSET if self.chunk_end.is_none() => return None,
             // Private records and those of later versions of MCAP.
@@ -314,8 +279,7 @@ impl<'a> Walker<'a> {
             _ => false,
         };
         if !known {
-            self.damaged(start, format!("no record has opcode {opcode:#04x} here"));
-            return None;
+            return self.damaged(start, format!("no record has opcode {opcode:#04x} here"));
         }
         let needed = match opcode {
             op::MESSAGE if body.len() > MAX_MESSAGE => None,
@@ -332,35 +296,34 @@ impl<'a> Walker<'a> {
             Event::Footer { covered, .. } => covered.end <= self.limit && covered.start <= covered.end,
             _ => true,
         });
-        if event.is_none() {
-            self.damaged(start, format!("the record with opcode {opcode:#04x} is not well-formed"));
-        } else if opcode == op::FOOTER {
+        let Some(event) = event else {
+            return self.damaged(start, format!("the record with opcode {opcode:#04x} is not well-formed"));
+        };
+        if opcode == op::FOOTER {
             self.footer(start, body.end);
         }
-        event
+        Some(event)
     }
 
-    /// It is passed over, but by its own length only where that agrees with the one inside: a wrong one would swallow the
-    /// chunk behind it.
-    fn message_index(&mut self, start: usize, body: &Range<usize>) {
+    /// It is passed over, but by its own length only where that agrees with the one inside: a wrong one would swallow
+    /// the chunk behind it.
+    fn message_index(&mut self, start: usize, body: &Range<usize>) -> Option<Event> {
         const FIELDS: usize = 2 + 4;
-        let stated = match self.pieces.get(body.start..body.end.min(body.start + FIELDS)) {
-            Ok(bytes) => (|| {
-                let mut fields = Fields { bytes, position: 2 };
-                usize::try_from(fields.u32()?).ok()
-            })(),
-            Err(_) => return,
-        };
+        let bytes = self.pieces.get(body.start..body.end.min(body.start + FIELDS)).ok()?;
+        let stated = Fields { bytes, position: 2 }.u32().and_then(|entries| usize::try_from(entries).ok());
         if stated.and_then(|entries| entries.checked_add(FIELDS)) != Some(body.len()) {
-            self.damaged(start, "the lengths of a message index disagree");
+            return self.damaged(start, "the lengths of a message index disagree");
         }
+        None
     }
 
-    fn footer(&mut self, start: usize, end: usize) {
+    /// Ends the walk at the footer, as it should.
+    fn footer(&mut self, start: usize, end: usize) -> Option<Event> {
         let rest = end..self.limit.max(end);
         match self.pieces.get(rest.start..rest.end.min(end + MAGIC.len() + 1)) {
             Ok(bytes) if bytes == MAGIC => {
                 self.end.get_or_insert(End::Closed);
+                None
             }
             Ok(bytes) if MAGIC.starts_with(bytes) => self.stop_at_rest(),
             Ok(_) => self.damaged(start, "the footer is not followed by the closing magic"),
@@ -373,11 +336,29 @@ impl Iterator for Walker<'_> {
     type Item = Event;
 
     fn next(&mut self) -> Option<Event> {
-        self.step()
+        self.step().or_else(|| if self.go_on() { self.next() } else { None })
     }
 }
 
-/// What a record of one of our kinds says; of a message, `bytes` are its header.
+/// A chunk's fields before its records.
+struct ChunkHeader {
+    uncompressed: u64,
+    crc: u32,
+    compression: String,
+    compressed: u64,
+    length: usize,
+}
+
+impl ChunkHeader {
+    fn of(bytes: &[u8]) -> Option<Self> {
+        let mut fields = Fields { bytes, position: 8 + 8 };
+        let (uncompressed, crc, compression) = (fields.u64()?, fields.u32()?, fields.text()?.to_owned());
+        let compressed = fields.u64()?;
+        Some(Self { uncompressed, crc, compression, compressed, length: fields.position })
+    }
+}
+
+/// The event of a record of one of our kinds; of a message, `bytes` are its header.
 fn event(opcode: u8, bytes: &[u8], start: usize, body: &Range<usize>) -> Option<Event> {
     let mut fields = Fields { bytes, position: 0 };
     match opcode {
@@ -411,7 +392,7 @@ fn event(opcode: u8, bytes: &[u8], start: usize, body: &Range<usize>) -> Option<
     }
 }
 
-/// Where the summary of a closed segment begins, by its footer.
+/// Offset of the summary of a closed segment, by its footer.
 pub fn summary_start(file: &SegmentFile) -> Option<usize> {
     summary_of(&mut Pieces::new(file))
 }
@@ -428,7 +409,7 @@ fn summary_of(pieces: &mut Pieces<'_>) -> Option<usize> {
     usize::try_from(summary).ok().filter(|start| *start > 0)
 }
 
-/// Where the metadata records of a closed segment are, by its summary.
+/// Places of the metadata records of a closed segment, by its summary.
 pub fn metadata_places(file: &SegmentFile) -> Option<Vec<Range<u64>>> {
     let mut pieces = Pieces::new(file);
     let mut position = summary_of(&mut pieces)?;

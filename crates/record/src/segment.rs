@@ -11,7 +11,8 @@ use super::layout::{
     image_topic, index_schema, json_channels,
 };
 use super::metadata::checksum;
-use super::open_chunk::{CHUNK_HEADER, Handle, Milestone, Window, lock};
+use super::open_chunk::{CHUNK_HEADER, Handle, Window, lock};
+use super::scan::{MESSAGE_HEADER, PREAMBLE};
 use super::statistics::WriteStatistics;
 use super::verdict::Verdict;
 use crate::base::ids::CameraId;
@@ -23,17 +24,13 @@ use std::collections::BTreeMap;
 use std::io;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-/// Opcode and length of a record.
-const PREAMBLE: usize = 9;
-/// A message without its payload: preamble, channel, sequence, two times.
-const MESSAGE_HEADER: usize = PREAMBLE + 2 + 4 + 8 + 8;
 /// Opcode of the records of zeros that move a message to where its pixels can be aligned. Opcodes from 0x80 on
 /// are private, and readers skip them.
 const FILLER: u8 = 0x80;
 /// Staging memory: headers, envelopes and tails of the frames of a chunk, and room for small records.
 const STAGING_BYTES: usize = 256 << 10;
 
-/// What the last segment says besides its own records.
+/// The contents of the last segment besides its own records.
 pub(super) struct Closing<'a> {
     pub verdict: &'a Verdict,
     /// Small records that the recording has.
@@ -45,22 +42,21 @@ pub(super) struct Closing<'a> {
 /// Channels whose messages are JSON, in the order of [`json_channels`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JsonChannel {
-    /// Gap records.
     Gaps,
-    /// The HSU's trigger table.
     Triggers,
-    /// Clock samples.
     Clock,
-    /// Node events.
     Events,
 }
 
-/// A segment being written.
+/// A segment being written: one MCAP file of a recording.
+///
+/// The recording makes one when it is created and at each split, and owns it. It promises that the file is a readable
+/// prefix at every instant. It ends with [`Self::finish`]; after a failed write its window is abandoned.
 pub struct Segment {
     mcap: mcap::Writer<Handle>,
     window: Arc<Mutex<Window>>,
-    number: u32,
-    first_trigger: u64,
+    pub(super) number: u32,
+    pub(super) first_trigger: u64,
     /// `None` in a copy of a recording without marks.
     mark: Option<SessionMark>,
     images: Vec<u16>,
@@ -81,8 +77,8 @@ impl Segment {
         version: u32,
     ) -> io::Result<Self> {
         let window = Arc::new(Mutex::new(Window::new(store, STAGING_BYTES)?));
-        // Chunks end where `commit` says; see docs/design/recording.md for why seeking is allowed, and the
-        // window for the checksums.
+        // `commit` ends chunks. docs/design/recording.md explains why seeking is allowed; the window adds the
+        // checksums.
         let options = mcap::WriteOptions::new()
             .compression(None)
             .chunk_size(None)
@@ -140,22 +136,13 @@ impl Segment {
         Ok(())
     }
 
-    /// Its place among the recording's segments.
-    pub fn number(&self) -> u32 {
-        self.number
-    }
-
-    /// First trigger of the segment.
-    pub fn first_trigger(&self) -> u64 {
-        self.first_trigger
-    }
-
     /// Bytes so far, the open chunk included.
     pub fn bytes(&self) -> u64 {
-        self.lock().position()
+        self.window().position()
     }
 
-    fn lock(&self) -> MutexGuard<'_, Window> {
+    /// The open chunk, and what is on its way to the disk.
+    pub(super) fn window(&self) -> MutexGuard<'_, Window> {
         lock(&self.window)
     }
 
@@ -179,9 +166,9 @@ impl Segment {
         let length = self.align(id, meta)?;
         envelope::write_padded_envelope(block.room_mut(), self.mark, id, meta, length)
             .map_err(io::Error::other)?;
-        self.lock().announce(block.pixels(), meta.pixels_crc);
+        self.window().announce(block.pixels(), meta.pixels_crc);
         let result = self.frame(camera, meta, &block.bytes()[ROOM_BYTES - length..]);
-        self.lock().deliver(block);
+        self.window().deliver(block);
         result
     }
 
@@ -234,38 +221,6 @@ impl Segment {
         Ok(self.bytes())
     }
 
-    /// Learns what the disk has done.
-    pub fn poll(&mut self) -> io::Result<()> {
-        self.lock().poll()
-    }
-
-    /// Waits until everything asked for is done.
-    pub fn settle(&mut self) -> io::Result<()> {
-        self.lock().settle()
-    }
-
-    /// Asks for an `fdatasync` of everything committed.
-    pub fn request_sync(&mut self) -> io::Result<()> {
-        self.lock().request_sync()
-    }
-
-    /// Makes sure that nothing more is written, and returns the length that stays: what is beyond is accounted
-    /// for elsewhere.
-    pub fn abandon(&mut self) -> u64 {
-        self.lock().abandon()
-    }
-
-    /// What the disk has done since the last call.
-    pub fn milestones(&mut self) -> Vec<Milestone> {
-        self.lock().take_milestones().collect()
-    }
-
-    /// Blocks held at the same time, at most; frames that had to be copied.
-    pub fn blocks(&self) -> (usize, u64) {
-        let window = self.lock();
-        (window.blocks_high_water(), window.copied_frames())
-    }
-
     /// Writes the index, the segment's range, and the summary; `closing` in the last one. The segment can only
     /// be dropped afterwards.
     pub fn finish(&mut self, end_trigger: Option<u64>, closing: Option<Closing<'_>>) -> io::Result<()> {
@@ -294,9 +249,9 @@ impl Segment {
             let entries = [verdict].into_iter().chain(counted).chain(mark);
             self.mcap.write_metadata(&metadata(VERDICT_METADATA, entries)).map_err(io_error)?;
         }
-        self.lock().end_data();
+        self.window().end_data();
         self.mcap.finish().map_err(io_error)?;
-        self.lock().close()
+        self.window().close()
     }
 }
 

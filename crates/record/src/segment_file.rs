@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A segment as a file that may fail while it is read.
 //!
-//! Recordings are read with calls that return errors, never through a mapping: a bad sector, or a file that somebody
-//! cuts, would end the program with a signal. What cannot be read is remembered and not tried again, because a disk
-//! takes seconds for each attempt; everything else is used. `docs/design/recording.md`, "Reading", has the rules.
+//! Recordings are read with calls that return errors, never through a mapping: a bad sector, or a file that is cut
+//! meanwhile, would end the program with a signal. What cannot be read is remembered and not tried again, because a
+//! disk takes seconds for each attempt; everything else is used. `docs/design/recording.md`, "Reading", has the rules.
 
 use crate::base::regular;
 use crc32fast::Hasher;
@@ -15,28 +15,25 @@ use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// What is given up at once, bytes: disks and page cache fail in units of this size at least.
+/// Smallest unit that is given up, bytes: disks and page cache fail in units of this size at least.
 const BLOCK: usize = 4096;
-/// Behind so many bytes in a row that cannot be read, the disk is asked less often: a block in each [`STRIDE`].
+/// Bytes in a row that cannot be read behind which only one block in each [`STRIDE`] is tried.
 const PATIENCE: usize = 64 * BLOCK;
-/// See [`PATIENCE`].
+/// Bytes between the blocks that are tried behind [`PATIENCE`]: a large bad area takes seconds, not hours.
 const STRIDE: usize = 1 << 20;
-/// Places of a file that cannot be read, at most: behind the last one the file is given up.
+/// Most unreadable places of a file: behind the last one the file is given up.
 const MAX_PLACES: usize = 1000;
-/// Read at once where bytes are passed through.
+/// Bytes that are read at once where a range is passed through.
 const PIECE: usize = 1 << 20;
-/// Read at once behind a jump: the rest of a frame and the envelope of the next lie in two blocks.
+/// Bytes that are read at once behind a jump: the rest of a frame and the envelope of the next lie in two blocks.
 const FIRST_READ: usize = 2 * BLOCK;
 
 /// Bytes of a file that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, thiserror::Error)]
 #[error("bytes {from} to {to} cannot be read: {reason}")]
 pub struct BadRange {
-    /// The first one.
     pub from: usize,
-    /// Behind the last one.
     pub to: usize,
-    /// What the system says.
     pub reason: String,
 }
 
@@ -53,10 +50,10 @@ pub struct SegmentFile {
 }
 
 impl SegmentFile {
-    /// Opens a regular file, or a link to one. Never waits: a pipe has nobody at its other end.
+    /// Opens a regular file, or a link to one. Never waits, as opening a pipe without a writer would.
     ///
     /// # Errors
-    /// What the system says, or what is there instead.
+    /// The error of the system, or what is there instead of a regular file.
     pub fn open(path: &Path) -> io::Result<Self> {
         let file = regular::open(path)?;
         let metadata = file.metadata()?;
@@ -75,7 +72,7 @@ impl SegmentFile {
         self.length
     }
 
-    /// What could not be read so far.
+    /// The bytes that could not be read so far.
     pub fn bad_ranges(&self) -> Vec<BadRange> {
         self.lock().clone()
     }
@@ -124,7 +121,7 @@ impl SegmentFile {
                     let block = offset - offset % BLOCK;
                     let rest = block + BLOCK - offset;
                     if end - done > rest {
-                        // The call fails as a whole for one bad block of many: which one is it?
+                        // The call fails as a whole for one bad block of many: the blocks are read one by one.
                         at_most = rest;
                         continue;
                     }
@@ -141,7 +138,7 @@ impl SegmentFile {
         let mut bad = self.lock();
         let place = bad.partition_point(|known| known.from < new.from);
         if let Some(known) = bad.get(place).filter(|known| known.from == new.from) {
-            // Somebody else has asked at the same time.
+            // Another thread has read it at the same time.
             return known.clone();
         }
         if bad.len() >= MAX_PLACES {
@@ -216,20 +213,20 @@ impl SegmentFile {
 #[derive(Debug)]
 pub struct Pieces<'a> {
     file: &'a SegmentFile,
-    /// What lies from `start` on.
+    /// Bytes of the file from `start` on.
     piece: Vec<u8>,
     start: usize,
-    /// What the next read asks for, as long as reads continue each other.
+    /// Bytes that the next read requests, as long as reads continue each other.
     ahead: usize,
 }
 
 impl<'a> Pieces<'a> {
-    /// Nothing is read yet.
+    /// A reader of which nothing is in memory yet.
     pub fn new(file: &'a SegmentFile) -> Self {
         Self { file, piece: Vec::new(), start: 0, ahead: FIRST_READ }
     }
 
-    /// The file.
+    /// The file that the pieces are of.
     pub fn file(&self) -> &'a SegmentFile {
         self.file
     }

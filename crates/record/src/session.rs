@@ -1,139 +1,32 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session: a directory with the recordings of all its nodes, read as one source of frames.
 
-use super::layout::{GapCause, MAX_CAMERAS, VERDICT_METADATA, segment_number};
-use super::reader::{Extent, ReadError, RecordedFrame, RecordingReader};
-use super::scan::metadata_by_index;
-use super::segment_file::SegmentFile;
+use super::files::{ReadError, find, node_of_dir};
+use super::layout::{GapCause, MAX_CAMERAS};
+use super::reader::{Extent, RecordedFrame, RecordingReader};
 use super::trigger_times::TriggerTimes;
-use crate::base::ids::{CameraId, NodeId, TriggerIndex};
+use crate::base::ids::{CameraId, TriggerIndex};
 use crate::config::Rig;
 use crate::data::{Frame, FrameSource, LostPart, SessionIdentity, SourceStatement, StatedCamera};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt;
-use std::io::ErrorKind;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-
-/// The directory of a node's recording inside a session's directory.
-pub fn node_dir(session: &Path, node: &NodeId) -> PathBuf {
-    session.join(format!("node-{node}"))
-}
-
-/// The segments of one recording, in order.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct RecordingFiles {
-    /// The recording's directory, or the single file.
-    pub path: PathBuf,
-    /// Number and path.
-    pub segments: Vec<(u32, PathBuf)>,
-    /// Why the directory cannot be listed, if so.
-    pub unlisted: Option<String>,
-}
-
-impl RecordingFiles {
-    fn of(path: &Path, segments: Vec<(u32, PathBuf)>) -> Self {
-        Self { path: path.to_owned(), segments, unlisted: None }
-    }
-}
-
-/// Finds the recordings at `path`: a session's directory, a recording's, or a single segment.
-pub(super) fn find(path: &Path) -> Result<Vec<RecordingFiles>, ReadError> {
-    let shown = path.display();
-    let expected =
-        "expected a session (node-*/segment-*.mcap), a recording (segment-*.mcap) or an .mcap file";
-    let kind = std::fs::metadata(path).map_err(|e| {
-        let message = format!("{shown}: {e}; {expected}");
-        match e.kind() {
-            ErrorKind::NotFound | ErrorKind::NotADirectory => ReadError::Absent(message),
-            _ => ReadError::Unreadable(message),
-        }
-    })?;
-    if kind.is_file() {
-        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-        let segments = vec![(segment_number(name).unwrap_or(0), path.to_owned())];
-        return Ok(vec![RecordingFiles::of(path, segments)]);
-    }
-    let own = segments(path).map_err(ReadError::Unreadable)?;
-    if !own.is_empty() {
-        return Ok(vec![RecordingFiles::of(path, own)]);
-    }
-    let mut recordings = Vec::new();
-    for (name, entry) in entries(path).map_err(ReadError::Unreadable)? {
-        if !name.starts_with("node-") {
-            continue;
-        }
-        // One that cannot be listed does not hide the others; a link whose disk is away is not nothing.
-        let listed = match std::fs::metadata(&entry) {
-            Ok(kind) if !kind.is_dir() => continue,
-            Ok(_) => segments(&entry),
-            Err(error) => Err(format!("{}: {error}", entry.display())),
-        };
-        let (segments, unlisted) = match listed {
-            Ok(segments) => (segments, None),
-            Err(reason) => (Vec::new(), Some(reason)),
-        };
-        recordings.push(RecordingFiles { path: entry, segments, unlisted });
-    }
-    if recordings.is_empty() {
-        return Err(ReadError::Absent(format!("{shown}: nothing recorded here; {expected}")));
-    }
-    Ok(recordings)
-}
-
-fn segments(dir: &Path) -> Result<Vec<(u32, PathBuf)>, String> {
-    let found = entries(dir)?.into_iter();
-    let mut segments: Vec<_> =
-        found.filter_map(|(name, path)| segment_number(&name).map(|number| (number, path))).collect();
-    segments.sort();
-    Ok(segments)
-}
-
-/// Names and paths in a directory, sorted.
-fn entries(dir: &Path) -> Result<Vec<(String, PathBuf)>, String> {
-    let error = |e: std::io::Error| format!("{}: {e}", dir.display());
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(dir).map_err(error)? {
-        let entry = entry.map_err(error)?;
-        found.extend(entry.file_name().into_string().ok().map(|name| (name, entry.path())));
-    }
-    found.sort();
-    Ok(found)
-}
-
-/// Why the recording in `dir` is thought to be unfinished: its last segment is not closed, or states no verdict, or cannot
-/// be read. `None` for a finished one, and where there is no recording.
-pub(super) fn unfinished(dir: &Path) -> Option<String> {
-    let (_, last) = segments(dir).ok()?.pop()?;
-    let name = last.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let file = match SegmentFile::open(&last) {
-        Ok(file) => file,
-        Err(error) => return Some(format!("{name} cannot be opened: {error}")),
-    };
-    match metadata_by_index(&file) {
-        None => Some(match file.bad_ranges().first() {
-            Some(bad) => format!("{name}: {bad}"),
-            None => format!("{name} was not closed"),
-        }),
-        Some(metadata) if metadata.iter().any(|(name, _)| *name == VERDICT_METADATA) => None,
-        Some(_) => Some(format!("{name} has no verdict")),
-    }
-}
 
 /// A recording of which nothing can be read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Unreadable {
     /// Its directory, or the single segment.
     pub path: PathBuf,
-    /// The node, by the directory's name; empty where that says nothing.
+    /// The node, by the directory's name; empty where that names none.
     pub node: String,
     /// What was expected and found.
     pub reason: String,
 }
 
 impl Unreadable {
-    /// What to call it: its node, or its path where that says nothing.
+    /// The name that messages use: its node, or its path where the node is not known.
     pub fn name(&self) -> String {
         if self.node.is_empty() { self.path.display().to_string() } else { format!("node {}", self.node) }
     }
@@ -145,8 +38,8 @@ impl fmt::Display for Unreadable {
     }
 }
 
-/// The recordings at `path` (a session, a recording or a segment) that can be read, with all small records; and those that
-/// cannot, which do not hide the others.
+/// The recordings at `path` (a session, a recording or a segment) that can be read, with all small records; and those
+/// that cannot, which do not hide the others. An error where there is none that can.
 pub fn open_each(path: &Path) -> Result<(Vec<RecordingReader>, Vec<Unreadable>), ReadError> {
     open_extent(path, Extent::Everything)
 }
@@ -162,15 +55,17 @@ fn open_extent(path: &Path, what: Extent) -> Result<(Vec<RecordingReader>, Vec<U
             }
         }
     }
+    if readable.is_empty() {
+        let reasons: Vec<&str> = unreadable.iter().map(|one| one.reason.as_str()).collect();
+        return Err(ReadError::Unreadable(reasons.join("\n")));
+    }
     Ok((readable, unreadable))
 }
 
-/// The node that a recording's directory is named after.
-pub(super) fn node_of_dir(path: &Path) -> Option<String> {
-    Some(path.file_name()?.to_str()?.strip_prefix("node-")?.to_owned())
-}
-
-/// A session: the recordings of all its nodes.
+/// A session: the recordings of all its nodes, read as one source of frames.
+///
+/// Whoever reconstructs, exports or shows a session opens one, and shares it between threads. It promises a frame that
+/// passed all its checks, or the cause of a gap, for every camera and trigger. It never writes.
 pub struct SessionReader {
     recordings: Vec<RecordingReader>,
     /// Recordings that cannot be read, in the order of `lost`.
@@ -182,7 +77,7 @@ pub struct SessionReader {
     /// Where the frames of each of `cameras` are.
     places: Vec<Place>,
     triggers: Range<u64>,
-    times: Option<TriggerTimes>,
+    times: TriggerTimes,
 }
 
 /// Where a camera's frames are.
@@ -195,16 +90,16 @@ enum Place {
 }
 
 impl SessionReader {
-    /// Opens a session's directory, one recording's directory, or one segment, and reads all small records. A recording that
-    /// cannot be read does not hide the others, see [`Self::unreadable`]; an error where there is none that can.
+    /// Opens a session's directory, one recording's directory, or one segment, and reads all small records. A recording
+    /// that cannot be read does not hide the others, see [`Self::unreadable`]; an error where there is none that can.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        Self::of(path, open_extent(path, Extent::Everything)?)
+        open_extent(path, Extent::Everything).map(Self::of)
     }
 
-    /// As [`Self::open`], but reads closed segments by their indexes only: much faster from a cold disk. Clock samples and
-    /// events stay empty; so do trigger tables of versions that have none in their indexes.
+    /// As [`Self::open`], but reads closed segments by their indexes only: much faster from a cold disk. Clock samples
+    /// and events stay empty; so do trigger tables of versions that have none in their indexes.
     pub fn open_frames(path: &Path) -> Result<Self, ReadError> {
-        Self::of(path, open_extent(path, Extent::Outcomes)?)
+        open_extent(path, Extent::Outcomes).map(Self::of)
     }
 
     /// As [`Self::open_frames`], with trigger tables whatever version has written them.
@@ -215,16 +110,7 @@ impl SessionReader {
         if session.recordings.iter().any(untimed) { Self::open(path) } else { Ok(session) }
     }
 
-    fn of(
-        path: &Path,
-        (recordings, unreadable): (Vec<RecordingReader>, Vec<Unreadable>),
-    ) -> Result<Self, ReadError> {
-        if recordings.is_empty() {
-            let reasons: Vec<&str> = unreadable.iter().map(|one| one.reason.as_str()).collect();
-            let nothing = || format!("{}: nothing recorded here", path.display());
-            let told = if reasons.is_empty() { nothing() } else { reasons.join("\n") };
-            return Err(ReadError::Unreadable(told));
-        }
+    fn of((recordings, unreadable): (Vec<RecordingReader>, Vec<Unreadable>)) -> Self {
         let mut placed: Vec<(CameraId, Place)> = Vec::new();
         for (r, recording) in recordings.iter().enumerate() {
             let own = recording.header.cameras.iter().enumerate();
@@ -249,10 +135,10 @@ impl SessionReader {
         let triggers = start.unwrap_or(0).min(end)..end;
         let (cameras, places) = placed.into_iter().unzip();
         let times = TriggerTimes::of(&recordings);
-        Ok(Self { recordings, unreadable, lost, cameras, places, triggers, times })
+        Self { recordings, unreadable, lost, cameras, places, triggers, times }
     }
 
-    /// The recordings, by node.
+    /// The recordings that can be read, in the order of the nodes' names.
     pub fn recordings(&self) -> &[RecordingReader] {
         &self.recordings
     }
@@ -327,7 +213,8 @@ impl FrameSource for SessionReader {
         let ids = self.recordings.iter().map(|recording| &recording.header);
         if let Some(other) = ids.clone().find(|header| header.session_id != first.session_id) {
             return Err(format!(
-                "the recordings are of two sessions, {} ({}) on node {} and {} ({}) on node {}; keep those of one together",
+                "the recordings are of two sessions, {} ({}) on node {} and {} ({}) on node {}; keep those of one \
+                 together",
                 first.session, first.session_id, first.node, other.session, other.session_id, other.node
             ));
         }
@@ -351,11 +238,11 @@ impl FrameSource for SessionReader {
     }
 
     fn trigger_time_ns(&self, trigger: TriggerIndex) -> Option<u64> {
-        self.times.as_ref()?.at(&self.recordings, trigger)
+        self.times.at(&self.recordings, trigger)
     }
 
     fn time_base(&self) -> Option<String> {
-        self.times.as_ref().map(|times| times.name(&self.recordings))
+        Some(self.times.name(&self.recordings))
     }
 
     fn lost(&self) -> &[LostPart] {

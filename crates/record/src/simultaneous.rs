@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Exposures that were not, or may not have been, at the time of the others: of which camera, at which triggers, and why.
+//! Exposures that were not, or may not have been, at the time of the others: of which camera, at which triggers, and
+//! why.
 //!
-//! Frames of a trigger count as simultaneous where one wire, or one clock, fired all cameras. Action commands can miss that
-//! (`docs/design/action-triggers.md`). What missed it is an event for each row of triggers, from which the node, `verify`
-//! and `info` make the same lines.
+//! Frames of a trigger count as simultaneous where one wire, or one clock, fired all cameras. Action commands can miss
+//! that (`docs/design/action-triggers.md`). What missed it is an event for each row of triggers, from which the node,
+//! `verify` and `info` make the same lines.
 
 use super::layout::{MAX_TRIGGERS, NodeEvent};
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -15,19 +16,17 @@ pub const NOT_SIMULTANEOUS: &str = "not_simultaneous";
 
 /// Rows that are kept of a camera and a reason; what comes behind them joins the last one.
 const ROWS: usize = 32;
-/// Rows that a line names.
+/// Rows that a line names; the triggers of the others are counted.
 const NAMED: usize = 8;
-/// Cameras and reasons that are kept.
+/// Pairs of camera and reason that are kept: it bounds what a recording's events can cost.
 const LINES: usize = 64;
 
 /// Triggers in a row; `count` is less than its length where others lie between them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TriggerRow {
-    /// The first.
     pub first: u64,
-    /// The last.
     pub last: u64,
-    /// How many.
+    /// How many triggers of `first` to `last` are meant.
     pub count: u64,
 }
 
@@ -41,7 +40,7 @@ impl TriggerRow {
         Self::all(self.first, self.last).count
     }
 
-    /// What of it is not before `first`.
+    /// The part of it that is not before `first`.
     pub fn behind(self, first: u64) -> Option<Self> {
         let from = self.first.max(first);
         (from <= self.last).then(|| Self {
@@ -51,7 +50,7 @@ impl TriggerRow {
         })
     }
 
-    /// One row over both.
+    /// One row that spans both rows.
     fn join(self, other: Self) -> Self {
         let (first, last) = (self.first.min(other.first), self.last.max(other.last));
         let whole = self.count == self.length() && other.count == other.length();
@@ -113,7 +112,7 @@ impl fmt::Display for TriggerRow {
 pub struct TriggerRows(Vec<TriggerRow>);
 
 impl TriggerRows {
-    /// Adds a row.
+    /// Adds a row, and joins it with those that it touches.
     pub fn add(&mut self, row: TriggerRow) {
         let rows = &mut self.0;
         let at = rows.partition_point(|other| other.last.saturating_add(1) < row.first);
@@ -131,7 +130,7 @@ impl TriggerRows {
         }
     }
 
-    /// In order.
+    /// The rows in the order of their triggers.
     pub fn iter(&self) -> impl Iterator<Item = TriggerRow> + '_ {
         self.0.iter().copied()
     }
@@ -152,10 +151,9 @@ impl fmt::Display for TriggerRows {
     }
 }
 
-/// What a recording's events of this kind come to.
+/// All events of this kind of a recording, joined to rows.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct NotSimultaneous {
-    /// By camera and reason.
     rows: BTreeMap<(String, String), TriggerRows>,
 }
 
@@ -224,21 +222,21 @@ mod tests {
 
     #[test]
     fn lines_name_camera_triggers_and_reason_and_no_crafted_number_costs_time() {
-        let mut told = NotSimultaneous::default();
+        let mut noted = NotSimultaneous::default();
         let event = |trigger: u64, message: &str| NodeEvent {
             trigger: Some(TriggerIndex(trigger)),
             message: message.to_owned(),
             ..TriggerRow::all(0, 0).event(CameraId::from("h1_low"), "", 0)
         };
-        told.note(&event(13, "1 trigger from here on: late"));
-        told.note(&event(11, "2 triggers from here on: late"));
-        told.note(&event(20, "1 trigger from here on: late"));
-        assert_eq!(told.lines(), ["h1_low, triggers 11 to 13, 20: late"]);
-        told.note(&event(u64::MAX, "1 trigger from here on: late"));
-        told.note(&event(5, "18446744073709551615 triggers from here on: odd"));
-        told.note(&event(5, "words"));
-        assert_eq!(told.lines()[1..], ["h1_low, triggers 5 to 16777215: odd", "h1_low, trigger 5: words"]);
-        (0..1000).for_each(|i| told.note(&event(i, &format!("1 trigger from here on: {i}"))));
-        assert_eq!(told.lines().len(), 64);
+        noted.note(&event(13, "1 trigger from here on: late"));
+        noted.note(&event(11, "2 triggers from here on: late"));
+        noted.note(&event(20, "1 trigger from here on: late"));
+        assert_eq!(noted.lines(), ["h1_low, triggers 11 to 13, 20: late"]);
+        noted.note(&event(u64::MAX, "1 trigger from here on: late"));
+        noted.note(&event(5, "18446744073709551615 triggers from here on: odd"));
+        noted.note(&event(5, "words"));
+        assert_eq!(noted.lines()[1..], ["h1_low, triggers 5 to 16777215: odd", "h1_low, trigger 5: words"]);
+        (0..1000).for_each(|i| noted.note(&event(i, &format!("1 trigger from here on: {i}"))));
+        assert_eq!(noted.lines().len(), 64);
     }
 }

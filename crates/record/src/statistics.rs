@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::atomic::AtomicU64;
 
-/// Counted while a recording is written; others may look at it meanwhile.
+/// Counted while a recording is written; other threads may read it meanwhile.
 #[derive(Debug, Default)]
 pub struct DiskProgress {
     /// From a frame's handing over until it is in the file.

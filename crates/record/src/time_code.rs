@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Time code in a recording: events, whose message is JSON, and what code it was at a time of the HSU's clock.
 //!
-//! A **run** is a row of codes each of which follows the one before, with no time between them. Of a run its first code is
-//! recorded, one a second, and its last. Between two of them the others are counted, and a fraction of a frame is by time.
+//! A **run** is a row of codes each of which follows the one before, with no time between them. Of a run its first code
+//! is recorded, one a second, and its last. Between two of them the others are counted, and a fraction of a frame is by
+//! time.
 
 use super::layout::NodeEvent;
 use hsu_firmware_proto::TimeCode;
@@ -10,14 +11,14 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// A code as the HSU heard it.
+/// A code as the HSU received it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeardTimeCode {
     /// Consecutive since the HSU was switched on.
     pub number: u64,
-    /// Which run of this recording it belongs to, from 0.
+    /// Number of its run in this recording, from 0.
     pub run: u64,
-    /// What was said.
+    /// The code that the line carried.
     #[serde(serialize_with = "write_code", deserialize_with = "read_code")]
     pub code: TimeCode,
     /// The edge that its first bit begins with, HSU clock, ns.
@@ -30,15 +31,14 @@ pub struct HeardTimeCode {
 const KIND: &str = "time_code";
 
 impl HeardTimeCode {
-    /// As an event; `host_time_ns` is when it was heard of.
+    /// The event that records it; `host_time_ns` is when the node received it.
     pub fn event(&self, host_time_ns: u64) -> NodeEvent {
-        let message = serde_json::to_string(self).unwrap_or_default();
-        NodeEvent { host_time_ns, kind: KIND.to_owned(), camera: None, trigger: None, message }
+        NodeEvent::of_json(KIND, host_time_ns, self)
     }
 
-    /// From an event.
+    /// The code that an event holds; `None` for other kinds.
     pub fn of(event: &NodeEvent) -> Option<Self> {
-        (event.kind == KIND).then(|| serde_json::from_str(&event.message).ok())?
+        event.json(KIND)
     }
 
     /// Whether this is the next frame after `before`: it begins where that one ended, and its code is the next one.
@@ -60,9 +60,8 @@ fn read_code<'de, D: Deserializer<'de>>(deserializer: D) -> Result<TimeCode, D::
 /// A code, and how much of its frame had gone by.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeCodeAt {
-    /// The frame's code.
     pub code: TimeCode,
-    /// Of the frame, 0 to 1.
+    /// Share of the code's frame that had passed, 0 to 1.
     pub fraction: f64,
 }
 
@@ -81,19 +80,19 @@ pub struct TimeCodeLine {
 }
 
 impl TimeCodeLine {
-    /// As its events say.
+    /// The time code in the events of a recording.
     pub fn of(events: &[NodeEvent]) -> Self {
         let heard = events.iter().filter_map(HeardTimeCode::of);
         Self { heard: heard.map(|heard| (heard.hsu_time_ns, heard)).collect() }
     }
 
-    /// What was recorded, in order of time.
+    /// The recorded codes, in order of time.
     pub fn heard(&self) -> impl DoubleEndedIterator<Item = &HeardTimeCode> {
         self.heard.values()
     }
 
-    /// The code at a time of the HSU's clock; `None` before, between and after runs, and where what was recorded before and
-    /// after does not add up.
+    /// The code at a time of the HSU's clock; `None` before, between and after runs, and where what was recorded before
+    /// and after does not add up.
     pub fn at(&self, hsu_time_ns: u64) -> Option<TimeCodeAt> {
         let (_, before) = self.heard.range(..=hsu_time_ns).next_back()?;
         let gone_ns = (hsu_time_ns - before.hsu_time_ns) as f64;

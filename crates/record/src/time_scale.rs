@@ -1,20 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! By which scale a camera's clock counts: told by how far it is ahead of the host's clock, which counts UTC.
+//! The time scale of a camera's clock: found from how far it is ahead of the host's clock, which counts UTC.
 //!
-//! PTP's own scale is TAI. A grandmaster may hand out another one, or count from wherever it began, and a camera does not say
-//! which. So it is measured, as well as the host's clock is right.
+//! PTP's own scale is TAI. A grandmaster may hand out another one, or count from wherever it began, and a camera does
+//! not report which. So it is measured, as well as the host's clock is right.
 
 use super::layout::ClockSample;
 use crate::base::ids::CameraId;
 use serde::Serialize;
 use std::fmt;
 
-/// TAI is ahead of UTC by so much, since the last leap second that was inserted.
+/// TAI minus UTC, ns: 37 s since the last leap second that was inserted.
 const TAI_AHEAD_NS: i64 = 37_000_000_000;
 /// A host whose clock is kept by NTP or PTP is nearer to UTC than this.
 const NEAR_NS: u64 = 500_000_000;
 
-/// What a clock counts.
+/// The time scale that a clock counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub enum TimeScale {
     /// International atomic time, since 1970-01-01 00:00:00 TAI: PTP's own.
@@ -23,7 +23,7 @@ pub enum TimeScale {
     /// Universal time, since 1970-01-01 00:00:00 UTC, without leap seconds: the host's.
     #[serde(rename = "UTC")]
     Utc,
-    /// Neither.
+    /// Neither TAI nor UTC: a scale of its own.
     #[serde(rename = "own")]
     Own,
 }
@@ -38,7 +38,7 @@ pub struct ScaleFound {
 }
 
 impl ScaleFound {
-    /// By the recorded readings of a camera's clock; `None` where there are none.
+    /// Finds the scale by the recorded readings of a camera's clock; `None` where there are none.
     pub fn of(camera: &CameraId, samples: &[ClockSample]) -> Option<Self> {
         let ahead = |sample: &ClockSample| {
             let host = (i128::from(sample.host_send_ns) + i128::from(sample.host_receive_ns)) / 2;

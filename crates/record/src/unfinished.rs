@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recordings that were not finished: what a node looks for when it starts.
 //!
-//! Cheap enough for a start: of a finished recording only the last segment's summary is looked at; of an unfinished
+//! Cheap enough for a start: of a finished recording only the last segment's summary is read; of an unfinished
 //! one the records are walked, which touches a page for each frame, and nothing is hashed.
 
+use super::files::{RecordingFiles, find, unfinished};
+use super::metadata::read_header;
 use super::reader::{Extent, Outcome, RecordingReader};
-use super::session::{RecordingFiles, find, unfinished};
+use super::segment_file::SegmentFile;
 use crate::base::ids::{NodeId, SessionName};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -15,13 +17,13 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Interrupted {
-    /// Its directory.
+    /// Directory of the recording that was not finished.
     #[cfg_attr(feature = "schema", schema(value_type = String))]
     pub path: PathBuf,
-    /// Name of the session.
+    /// Name of the session, that of its directory.
     #[cfg_attr(feature = "schema", schema(value_type = String))]
     pub session: SessionName,
-    /// The node that recorded.
+    /// Name of the node that recorded it.
     #[cfg_attr(feature = "schema", schema(value_type = String))]
     pub node: NodeId,
     /// Frames of all cameras in it, not checked.
@@ -74,12 +76,8 @@ pub fn interrupted(sessions_dir: &Path) -> Vec<Interrupted> {
 
 /// The session's id and the node.
 fn identity(files: &RecordingFiles) -> Option<(String, NodeId)> {
-    let first = RecordingFiles {
-        path: files.path.clone(),
-        segments: files.segments.first().cloned().into_iter().collect(),
-        unlisted: files.unlisted.clone(),
-    };
-    let header = RecordingReader::open(&first, Extent::Outcomes).ok()?.header;
+    let (_, first) = files.segments.first()?;
+    let header = read_header(&SegmentFile::open(first).ok()?).ok()?.header;
     Some((header.session_id, header.node))
 }
 

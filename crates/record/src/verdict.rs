@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Counting outcomes: which triggers of a camera have one, and what a session amounts to at its end.
+//! Counting outcomes: which triggers of a camera have one, and the verdict on a session at its end.
 
 use super::advice::{Advice, Rhythm};
 use super::layout::{GapCause, MAX_TRIGGERS, RecordingHeader};
@@ -10,15 +10,15 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::Range;
 
-/// What a session amounts to, from the best to the worst.
+/// The verdict on a session in one word, from the best to the worst.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// Every camera has a frame for every trigger that was asked for.
+    /// Every camera has a frame for every trigger that was requested.
     Complete,
-    /// As [`Self::Complete`], but of some frames one witness alone says which trigger they are of, or how they were taken
-    /// is in doubt: a camera's settings changed, or exposures of a trigger were not at one time.
+    /// As [`Self::Complete`], but the trigger of some frames rests on one source alone, or how they were taken is in
+    /// doubt: a camera's settings changed, or exposures of a trigger were not at one time.
     Unconfirmed,
     /// Something is missing, and it is known what and why.
     Incomplete,
@@ -27,7 +27,7 @@ pub enum Status {
 }
 
 impl Status {
-    /// As people and scripts read it.
+    /// The word that messages and JSON use.
     pub fn word(self) -> &'static str {
         match self {
             Self::Complete => "complete",
@@ -38,14 +38,14 @@ impl Status {
     }
 }
 
-/// One camera's outcomes.
+/// Counts of one camera's outcomes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct CameraVerdict {
-    /// The camera.
+    /// Name of the camera in the rig.
     #[cfg_attr(feature = "schema", schema(value_type = String))]
     pub camera: CameraId,
-    /// Triggers with a frame.
+    /// Triggers of which a frame is recorded.
     pub frames: u64,
     /// Triggers with a gap record, by cause.
     #[cfg_attr(feature = "schema", schema(value_type = BTreeMap<String, u64>))]
@@ -60,15 +60,18 @@ impl CameraVerdict {
     }
 }
 
-/// What one node's recording amounts to.
+/// The verdict on one node's recording: complete or not, with all counts.
+///
+/// The recording computes it when it is finished, stores it in the last segment and returns it; `verify` computes it
+/// again from the records.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Verdict {
-    /// In one word.
+    /// The verdict in one word, from best to worst.
     pub status: Status,
     /// Triggers of the session: every camera has this many outcomes.
     pub triggers: u64,
-    /// Triggers asked for.
+    /// Triggers that were requested; null runs until stop.
     pub triggers_expected: Option<u64>,
     /// Triggers that the HSU reports to have emitted; `None` when the report is missing.
     pub triggers_emitted: Option<u64>,
@@ -77,7 +80,7 @@ pub struct Verdict {
     /// Outcomes that were refused: a second one for a trigger, or one that lies outside the session. Each
     /// is an event in the recording.
     pub refused: u64,
-    /// Cameras of which one witness alone says which trigger some frames are of. Each is an event in the recording.
+    /// Cameras of which the trigger of some frames rests on one source alone. Each is an event in the recording.
     #[serde(default)]
     pub unconfirmed: u64,
     /// Settings that were not as they had been set when the session ended, each with its camera.
@@ -88,14 +91,15 @@ pub struct Verdict {
     pub not_simultaneous: Vec<String>,
     /// Why the session was aborted.
     pub aborted: Option<String>,
-    /// What the pattern of the gaps shows, and what to do about it. Never read from a file: it is found from its records.
+    /// What the pattern of the gaps shows, and what to do about it. Never read from a file: it is found from its
+    /// records.
     #[serde(default, skip_deserializing, skip_serializing_if = "Advice::is_empty")]
     #[cfg_attr(feature = "schema", schema(value_type = Vec<String>))]
     pub advice: Advice,
 }
 
 impl Verdict {
-    /// Frames of all cameras.
+    /// Frames of all cameras together.
     pub fn frames(&self) -> u64 {
         self.cameras.iter().fold(0, |sum, camera| sum.saturating_add(camera.frames))
     }
@@ -140,11 +144,11 @@ impl Verdict {
 
     /// Derives the status from everything else.
     pub fn judge(&self) -> Status {
-        let asked = self.triggers_expected.is_none_or(|n| n == self.triggers);
+        let as_requested = self.triggers_expected.is_none_or(|n| n == self.triggers);
         let counted = self.triggers_emitted == Some(self.triggers);
         if self.aborted.is_some() {
             Status::Aborted
-        } else if asked && counted && self.gaps() == 0 && self.refused == 0 {
+        } else if as_requested && counted && self.gaps() == 0 && self.refused == 0 {
             if self.unconfirmed == 0 && self.changed.is_empty() && self.not_simultaneous.is_empty() {
                 Status::Complete
             } else {
@@ -162,7 +166,7 @@ impl fmt::Display for Verdict {
         let (triggers, frames, gaps) = (self.triggers, self.frames(), self.gaps());
         write!(f, "{word}: {triggers} triggers, {frames} frames, {gaps} gaps")?;
         match (self.triggers_expected, self.triggers_emitted) {
-            (Some(n), _) if n != triggers => write!(f, " ({n} triggers were asked for)")?,
+            (Some(n), _) if n != triggers => write!(f, " ({n} triggers were requested)")?,
             (_, None) => write!(f, " (the HSU's count is missing)")?,
             (_, Some(n)) if n != triggers => write!(f, " (the HSU counted {n})")?,
             _ => {}
@@ -172,7 +176,10 @@ impl fmt::Display for Verdict {
         }
         if self.unconfirmed > 0 {
             let cameras = self.unconfirmed;
-            write!(f, "; of {cameras} cameras one witness alone says which trigger some frames are of")?;
+            write!(
+                f,
+                "; of {cameras} cameras the trigger of some frames is not proven: one source alone names it"
+            )?;
         }
         if !self.changed.is_empty() {
             write!(f, "; settings changed while it ran: {}", self.changed.join("; "))?;
@@ -193,7 +200,7 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// How a session ended, as the one who ran it knows.
+/// How a session ended, as the node that ran it knows.
 #[derive(Debug, Clone)]
 pub struct SessionEnd {
     /// Triggers that the HSU reports to have emitted.
@@ -202,7 +209,7 @@ pub struct SessionEnd {
     pub aborted: Option<String>,
     /// Cause of the gap records for outcomes that are still absent.
     pub absent: GapCause,
-    /// When, host clock, ns.
+    /// When it ended, host clock, ns.
     pub host_time_ns: u64,
 }
 
@@ -273,7 +280,7 @@ impl TriggerSet {
     }
 }
 
-/// Outcomes of one camera so far.
+/// Outcomes of one camera so far: at most one for each trigger.
 #[derive(Debug, Clone, Default)]
 pub struct CameraTally {
     seen: TriggerSet,
@@ -320,7 +327,7 @@ impl CameraTally {
         &self.seen
     }
 
-    /// The counts.
+    /// The counts of this camera so far.
     pub fn verdict(&self, camera: &CameraId) -> CameraVerdict {
         CameraVerdict { camera: camera.clone(), frames: self.frames, gaps: self.gaps.clone() }
     }

@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Recomputes everything that a recording claims from the files alone.
 //!
-//! Nothing stored is believed: every checksum is computed again, outcomes are counted from the records, the stored verdict
-//! has to be what comes out, each frame's sources have to agree on its trigger, and so have the nodes of a session.
+//! Nothing stored is assumed to be right: every checksum is computed again, outcomes are counted from the records, the
+//! stored verdict has to be what comes out, each frame's sources have to agree on its trigger, and so have the nodes of
+//! a session.
 
 mod accounting;
 mod agreement;
 mod explained;
+mod findings;
+mod frame;
 mod header;
 mod readings;
 mod rhythm;
@@ -16,94 +19,30 @@ mod simultaneous;
 mod table;
 mod witnesses;
 
-use super::reader::{ReadError, RecordingReader};
-use super::session::{node_of_dir, open_each};
+use super::files::{ReadError, node_of_dir};
+use super::reader::RecordingReader;
+use super::session::open_each;
 use super::verdict::Verdict;
-use crate::base::ids::CameraId;
 pub use agreement::{Comparison, compare};
+use findings::Notes;
+pub use findings::{Finding, Severity};
 use serde::Serialize;
-use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-
-/// Findings beyond this many are counted, not listed.
-const MAX_FINDINGS: usize = 10_000;
-
-/// How bad a finding is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Severity {
-    /// Worth knowing; nothing is wrong.
-    Note,
-    /// Nothing contradicts it, but nothing confirms it: one source alone says it, or frames were not taken as agreed.
-    Unconfirmed,
-    /// Data is missing, and the recording says what and why.
-    Loss,
-    /// Data is damaged, contradicts itself, or is missing without a word.
-    Corrupt,
-}
-
-/// One thing that was found.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Finding {
-    /// How bad it is.
-    pub severity: Severity,
-    /// The node.
-    pub node: String,
-    /// The segment's number.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub segment: Option<u32>,
-    /// The camera.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub camera: Option<CameraId>,
-    /// First and last trigger concerned.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub triggers: Option<(u64, u64)>,
-    /// What was expected and found.
-    pub message: String,
-}
-
-impl fmt::Display for Finding {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let word = match self.severity {
-            Severity::Note => "note",
-            Severity::Unconfirmed => "unconfirmed",
-            Severity::Loss => "loss",
-            Severity::Corrupt => "corrupt",
-        };
-        write!(f, "{word}: node {}", self.node)?;
-        if let Some(segment) = self.segment {
-            write!(f, " segment {segment}")?;
-        }
-        if let Some(camera) = &self.camera {
-            write!(f, " camera {camera}")?;
-        }
-        match self.triggers {
-            Some((first, last)) if first == last => write!(f, " trigger {first}")?,
-            Some((first, last)) => write!(f, " triggers {first} to {last}")?,
-            None => {}
-        }
-        write!(f, ": {}", self.message)
-    }
-}
 
 /// One node's recording as it is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct RecordingReport {
-    /// The node.
     pub node: String,
-    /// Its directory.
     pub path: PathBuf,
-    /// Bytes of all segments.
     pub bytes: u64,
-    /// Counted from the records.
+    /// The verdict, counted from the records again.
     pub verdict: Verdict,
 }
 
-/// What `verify` found.
+/// What `verify` found in a session, a recording or a segment.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Report {
-    /// What was verified.
     pub path: PathBuf,
     /// The worst finding that is more than a note.
     pub worst: Option<Severity>,
@@ -111,7 +50,6 @@ pub struct Report {
     pub single_segment: bool,
     /// Whether images were imported: which trigger one is of rests on its file's name.
     pub imported: bool,
-    /// Per node.
     pub recordings: Vec<RecordingReport>,
     /// The nodes against each other.
     pub compared: Vec<Comparison>,
@@ -121,56 +59,10 @@ pub struct Report {
     pub findings_omitted: usize,
 }
 
-/// Findings of one recording in the making.
-struct Notes {
-    node: String,
-    findings: Vec<Finding>,
-    omitted: usize,
-    worst: Option<Severity>,
-}
-
 impl Report {
     /// Whether something is not confirmed: which trigger frames are of, or that they were taken as agreed.
     pub fn is_unconfirmed(&self) -> bool {
         self.findings.iter().any(|finding| finding.severity == Severity::Unconfirmed)
-    }
-}
-
-impl Notes {
-    fn new(node: &str) -> Self {
-        Self { node: node.to_owned(), findings: Vec::new(), omitted: 0, worst: None }
-    }
-
-    fn add(
-        &mut self,
-        severity: Severity,
-        segment: Option<u32>,
-        camera: Option<&CameraId>,
-        triggers: Option<(u64, u64)>,
-        message: impl Into<String>,
-    ) {
-        if severity > Severity::Note {
-            self.worst = self.worst.max(Some(severity));
-        }
-        if self.findings.len() >= MAX_FINDINGS {
-            self.omitted += 1;
-            return;
-        }
-        let (node, camera, message) = (self.node.clone(), camera.cloned(), message.into());
-        self.findings.push(Finding { severity, node, segment, camera, triggers, message });
-    }
-
-    fn leave_out_unconfirmed(&mut self) {
-        self.findings.retain(|finding| finding.severity != Severity::Unconfirmed);
-        let found = self.findings.iter().map(|finding| finding.severity);
-        self.worst = found.filter(|severity| *severity > Severity::Note).max();
-    }
-
-    fn absorb(&mut self, other: Self) {
-        self.worst = self.worst.max(other.worst);
-        let room = MAX_FINDINGS.saturating_sub(self.findings.len());
-        self.omitted += other.omitted + other.findings.len().saturating_sub(room);
-        self.findings.extend(other.findings.into_iter().take(room));
     }
 }
 
@@ -179,17 +71,8 @@ impl Notes {
 /// `progress` is called from several threads with the bytes done and the bytes in all.
 pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Report, ReadError> {
     let (readers, unreadable) = open_each(path)?;
-    if readers.is_empty() {
-        let nothing = || format!("{}: nothing recorded here", path.display());
-        return Err(ReadError::Unreadable(
-            unreadable.into_iter().next().map_or_else(nothing, |one| one.reason),
-        ));
-    }
     let single_segment = path.is_file();
-    let length = |recording: &RecordingReader| -> u64 {
-        recording.segments.iter().map(|segment| segment.length() as u64).sum()
-    };
-    let total = readers.iter().map(length).sum();
+    let total = readers.iter().map(RecordingReader::bytes).sum();
     let done = AtomicU64::new(0);
     let advance = |bytes: u64| progress(done.fetch_add(bytes, Ordering::Relaxed) + bytes, total);
     let mut notes = Notes::new("");
@@ -227,7 +110,7 @@ pub fn verify(path: &Path, progress: &(dyn Fn(u64, u64) + Sync)) -> Result<Repor
             simultaneous::check(recording, &mut own);
         }
         notes.absorb(own);
-        let (path, bytes) = (recording.path.clone(), length(recording));
+        let (path, bytes) = (recording.path.clone(), recording.bytes());
         recordings.push(RecordingReport { node: node.to_owned(), path, bytes, verdict });
     }
     let here: Vec<&RecordingReader> = readers.iter().collect();

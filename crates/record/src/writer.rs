@@ -4,12 +4,12 @@
 //! One thread calls it. It waits for the disk only when the queue of chunks is full; frames wait in their pool
 //! meanwhile.
 
-use super::belonging::{Belonging, Label};
+use super::belonging::{Belonging, Label, SessionMark};
 use super::direct_io::{DirectFile, Store, sync_directory};
 use super::envelope::{FrameMeta, marked, parse_envelope};
 use super::layout::{
-    ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, VERSION,
-    segment_name,
+    CameraHeader, ClockSample, GapCause, GapRecord, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord,
+    VERSION, segment_name,
 };
 use super::noted::{Noted, REFUSED};
 use super::open_chunk::QUEUE;
@@ -50,16 +50,20 @@ const MAX_UNWRITTEN: usize = 1 << 20;
 
 type OpenStore = Arc<dyn Fn(&Path) -> io::Result<Box<dyn Store>> + Send + Sync>;
 
-/// Shared with whoever looks.
+/// Latencies of the disk, shared with those who watch the recording.
 type Latencies = Arc<DiskProgress>;
 
-/// A recording being written.
+/// The recording of one node while it is written.
+///
+/// The session's node thread creates it before any camera is started; the writer thread owns it from then on. It
+/// promises that every camera ends with one outcome per trigger, that what is written is readable after a crash up to a
+/// second before it, and that a failing disk costs frames, never the accounting. [`Self::finish`] ends it with the
+/// verdict; without that it is interrupted, and `fourdbody recover` completes it.
 pub struct Recording {
     dir: PathBuf,
     header: RecordingHeader,
     /// Version of the format, and the session's mark in it.
     belonging: Belonging,
-    /// Small records so far.
     records: u64,
     options: WriterOptions,
     open_store: OpenStore,
@@ -76,36 +80,30 @@ pub struct Recording {
     time_ns: u64,
     last_sync: Instant,
     unsynced: u64,
-    /// Bytes since the free space was looked at.
-    unlooked: u64,
+    /// Bytes written since the free space was checked.
+    unchecked: u64,
     latencies: Latencies,
     /// Counts of segments that are no longer open.
     past: WriteStatistics,
-    /// What the recording says instead of its own statistics.
-    told: Option<Option<WriteStatistics>>,
+    /// Statistics that the recording states instead of its own.
+    stated_statistics: Option<Option<WriteStatistics>>,
 }
 
 impl Recording {
     /// Creates the directory `dir` with its first segment. The parent is created if needed.
     pub fn create(dir: &Path, header: RecordingHeader, options: WriterOptions) -> Result<Self, RecordError> {
         let bytes = header.expected_bytes().unwrap_or(0);
-        Self::create_for(dir, header, options, bytes, VERSION)
+        Self::create_for(dir, header, options, bytes, VERSION, Self::disk())
     }
 
-    /// As [`Self::create`], but for this many bytes, whatever the header expects, and in this version of the format: a copy
-    /// of records that do not prove their session must not prove it.
+    /// Opens segments as files, past the page cache.
+    pub(super) fn disk() -> OpenStore {
+        Arc::new(|path| Ok(Box::new(DirectFile::create(path)?)))
+    }
+
+    /// As [`Self::create`], but for this many bytes, whatever the header expects, in this version of the format (a copy
+    /// of records that do not prove their session must not prove it), and to these stores.
     pub(super) fn create_for(
-        dir: &Path,
-        header: RecordingHeader,
-        options: WriterOptions,
-        bytes: u64,
-        version: u32,
-    ) -> Result<Self, RecordError> {
-        let open = |path: &Path| -> io::Result<Box<dyn Store>> { Ok(Box::new(DirectFile::create(path)?)) };
-        Self::create_sized(dir, header, options, bytes, version, Arc::new(open))
-    }
-
-    fn create_sized(
         dir: &Path,
         header: RecordingHeader,
         options: WriterOptions,
@@ -146,10 +144,10 @@ impl Recording {
             noted: Noted::default(),
             last_sync: Instant::now(),
             unsynced: 0,
-            unlooked: 0,
+            unchecked: 0,
             latencies: Latencies::default(),
             past: WriteStatistics::default(),
-            told: None,
+            stated_statistics: None,
         };
         let begun = recording.open_segment(0).map_err(disk).and_then(|()| recording.sync());
         let begun = begun.and_then(|()| recording.settle_all());
@@ -166,7 +164,7 @@ impl Recording {
         }
     }
 
-    /// The recording's directory.
+    /// The directory that the recording is written to.
     pub fn dir(&self) -> &Path {
         &self.dir
     }
@@ -178,8 +176,7 @@ impl Recording {
     /// [`RecordError::Frame`], the trigger has its outcome afterwards, if need be a gap with cause
     /// `dropped_disk`: the caller adds nothing.
     pub fn frame(&mut self, camera: usize, meta: &FrameMeta, message: &[u8]) -> Result<(), RecordError> {
-        self.check_frame(camera, meta, message)?;
-        let known = parse_envelope(message).ok().and_then(|envelope| envelope.session);
+        let known = self.check_frame(camera, meta, message)?;
         match self.belonging.written().filter(|own| known != Some(*own)) {
             None => self.place_frame(camera, meta, |segment, _| segment.frame(camera, meta, message)),
             Some(own) => {
@@ -235,14 +232,14 @@ impl Recording {
         let result = write(&mut entry.segment, &self.header.cameras[camera].id);
         let more = entry.segment.bytes() - before;
         self.unsynced += more;
-        self.unlooked += more;
+        self.unchecked += more;
         self.latencies.bytes.fetch_add(more, Ordering::Relaxed);
         result.or_else(|source| self.fail(source))?;
         self.after_record(place)?;
         self.split_if_due()
     }
 
-    /// How the disk keeps up, to be looked at while this is written.
+    /// How the disk keeps up, for threads that watch the recording.
     pub fn progress(&self) -> Arc<DiskProgress> {
         Arc::clone(&self.latencies)
     }
@@ -254,9 +251,10 @@ impl Recording {
         statistics.durable = self.latencies.durable.summary();
         let mut held = 0;
         for entry in &self.segments {
-            let (high_water, copied) = entry.segment.blocks();
-            held += high_water;
-            statistics.copied_frames += copied;
+            let window = entry.segment.window();
+            held += window.blocks_high_water;
+            statistics.copied_frames += window.copied_frames;
+            drop(window);
             statistics.bytes += entry.segment.bytes();
         }
         statistics.blocks_high_water = statistics.blocks_high_water.max(held);
@@ -264,11 +262,15 @@ impl Recording {
     }
 
     /// The message must be the frame that `meta` and the header describe: otherwise a reader would refuse it.
-    fn check_frame(&self, camera: usize, meta: &FrameMeta, message: &[u8]) -> Result<(), RecordError> {
+    /// Returns the mark in the message, if it has one.
+    fn check_frame(
+        &self,
+        camera: usize,
+        meta: &FrameMeta,
+        message: &[u8],
+    ) -> Result<Option<SessionMark>, RecordError> {
+        let described = self.described(camera)?;
         let wrong = |reason: String| RecordError::Frame { camera, reason };
-        let Some(described) = self.header.cameras.get(camera) else {
-            return Err(wrong(format!("the recording has {} cameras", self.header.cameras.len())));
-        };
         let envelope = parse_envelope(message).map_err(|e| wrong(e.to_string()))?;
         if envelope.meta != *meta || envelope.camera != described.id.as_str() {
             return Err(wrong(format!(
@@ -276,29 +278,32 @@ impl Recording {
                 envelope.camera, envelope.meta, described.id
             )));
         }
-        self.check_size(camera, meta)
+        self.check_size(camera, meta)?;
+        Ok(envelope.session)
     }
 
     fn check_size(&self, camera: usize, meta: &FrameMeta) -> Result<(), RecordError> {
-        let wrong = |reason: String| RecordError::Frame { camera, reason };
-        let Some(described) = self.header.cameras.get(camera) else {
-            return Err(wrong(format!("the recording has {} cameras", self.header.cameras.len())));
-        };
+        let described = self.described(camera)?;
         if (meta.width, meta.height) != (described.width, described.height) {
-            return Err(wrong(format!(
-                "the frame is {} x {}, the header says {} x {}",
+            let reason = format!(
+                "the frame is {} x {}, the header states {} x {}",
                 meta.width, meta.height, described.width, described.height
-            )));
+            );
+            return Err(RecordError::Frame { camera, reason });
         }
         Ok(())
     }
 
+    fn described(&self, camera: usize) -> Result<&CameraHeader, RecordError> {
+        self.header.cameras.get(camera).ok_or_else(|| {
+            let reason = format!("the recording has {} cameras", self.header.cameras.len());
+            RecordError::Frame { camera, reason }
+        })
+    }
+
     /// Records that `camera` has no frame for `trigger`. A second outcome is refused as in [`Self::frame`].
     pub fn gap(&mut self, camera: usize, trigger: TriggerIndex, cause: GapCause) -> Result<(), RecordError> {
-        let Some(id) = self.camera_id(camera) else {
-            let reason = format!("gap: the recording has {} cameras", self.tallies.len());
-            return Err(RecordError::Frame { camera, reason });
-        };
+        let id = self.described(camera)?.id.clone();
         if !self.accept(camera, trigger, |tally| tally.gap(trigger, cause)) {
             return Ok(());
         }
@@ -315,7 +320,7 @@ impl Recording {
         Ok(())
     }
 
-    /// Records a clock exchange.
+    /// Records an exchange with a device's clock.
     pub fn clock_sample(&mut self, sample: &ClockSample) -> Result<(), RecordError> {
         self.json(JsonChannel::Clock, self.newest(), sample.host_receive_ns, sample)
     }
@@ -326,9 +331,9 @@ impl Recording {
         self.json(JsonChannel::Events, self.newest(), event.host_time_ns, event)
     }
 
-    /// Lets the recording state these statistics, or none, instead of its own: a copy says how the original was made.
+    /// Lets the recording state these statistics, or none, instead of its own: a copy states how the original was made.
     pub(super) fn state_statistics(&mut self, statistics: Option<WriteStatistics>) {
-        self.told = Some(statistics);
+        self.stated_statistics = Some(statistics);
     }
 
     /// Keeps the promise on durability while nothing is recorded: call it at least every sync interval.
@@ -372,12 +377,12 @@ impl Recording {
         }
         self.next = None;
         let own = self.statistics();
-        let told = self.told;
-        let statistics = told.as_ref().map_or(Some(&own), Option::as_ref);
+        let stated = self.stated_statistics;
+        let statistics = stated.as_ref().map_or(Some(&own), Option::as_ref);
         let mut last = self.segments.pop_back();
         let mut result = Ok(());
         while let Some(mut entry) = self.segments.pop_front() {
-            let end = last.as_ref().map(|last| last.segment.first_trigger());
+            let end = last.as_ref().map(|last| last.segment.first_trigger);
             result = result.and(entry.segment.finish(end, None));
         }
         if let Some(last) = &mut last {
@@ -410,9 +415,8 @@ impl Recording {
         } else {
             format!("trigger {trigger} has an outcome already; the second one is not recorded")
         };
-        let (host_time_ns, kind) = (self.time_ns, REFUSED.to_owned());
-        let camera = self.camera_id(camera);
-        let event = NodeEvent { host_time_ns, kind, camera, trigger: Some(trigger), message };
+        let (camera, trigger) = (self.camera_id(camera), Some(trigger));
+        let event = NodeEvent { camera, trigger, ..NodeEvent::new(REFUSED, self.time_ns, message) };
         // A failure here shows again at the next record.
         let _ = self.event(&event);
         false
@@ -420,7 +424,7 @@ impl Recording {
 
     /// The segment of a trigger: the newest that begins at or before it.
     fn place(&self, trigger: TriggerIndex) -> usize {
-        self.segments.iter().rposition(|entry| entry.segment.first_trigger() <= trigger.0).unwrap_or(0)
+        self.segments.iter().rposition(|entry| entry.segment.first_trigger <= trigger.0).unwrap_or(0)
     }
 
     /// A small record's bytes, with the session's mark and its number.
@@ -466,8 +470,8 @@ impl Recording {
             || self.last_sync.elapsed() >= self.options.sync_interval;
         if due {
             self.sync()?;
-        } else if self.is_look_due() {
-            self.look_at_space()?;
+        } else if self.is_check_due() {
+            self.check_free_space()?;
         }
         if self.segments.len() > 1 {
             self.close_older()?;
@@ -481,14 +485,14 @@ impl Recording {
         result.or_else(|source| self.fail(source))
     }
 
-    /// Asks for everything to be made durable, and looks at the space that is left.
+    /// Requests that everything is made durable, and checks the space that is left.
     fn sync(&mut self) -> Result<(), RecordError> {
         let latencies = &mut self.latencies;
         let result = self.segments.iter_mut().try_for_each(|entry| entry.request_sync(latencies));
         result.or_else(|source| self.fail(source))?;
         self.last_sync = Instant::now();
         self.unsynced = 0;
-        self.look_at_space()
+        self.check_free_space()
     }
 
     fn open_segment(&mut self, first_trigger: u64) -> io::Result<()> {
@@ -532,7 +536,7 @@ impl Recording {
 
     /// Closes the older of two segments, on a thread of its own, once every camera is past it.
     fn close_older(&mut self) -> Result<(), RecordError> {
-        let Some(boundary) = self.segments.get(1).map(|entry| entry.segment.first_trigger()) else {
+        let Some(boundary) = self.segments.get(1).map(|entry| entry.segment.first_trigger) else {
             return Ok(());
         };
         if !self.tallies.iter().all(|tally| tally.seen().covers(boundary)) {
@@ -545,7 +549,7 @@ impl Recording {
             return self.fail(source);
         }
         self.past.blocks_high_water = statistics.blocks_high_water;
-        self.past.copied_frames += older.segment.blocks().1;
+        self.past.copied_frames += older.segment.window().copied_frames;
         self.past.bytes += older.segment.bytes();
         self.closing.push(older.close_aside(Some(boundary)));
         Ok(())

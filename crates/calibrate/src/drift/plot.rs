@@ -3,7 +3,7 @@
 
 use super::history::{Checked, Verdict};
 use crate::base::print::html;
-use crate::base::time::utc_day;
+use crate::base::time::day;
 use crate::report::COLOURS;
 use std::collections::BTreeMap;
 use std::fmt::{Display, Write};
@@ -120,7 +120,7 @@ impl<'a> Plot<'a> {
         }
         for (ns, x, anchor) in [(self.from_ns, LEFT, "start"), (self.to_ns, RIGHT, "end")] {
             let attributes = format_args!(" text-anchor=\"{anchor}\"");
-            text(out, [x, BOTTOM + 34.0], attributes, format_args!("{} UTC", utc_day(ns)));
+            text(out, [x, BOTTOM + 34.0], attributes, format_args!("{} UTC", day(ns)));
         }
         if let Some(last) = history.last() {
             let y = self.y(last.most_mm);

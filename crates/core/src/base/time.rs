@@ -10,6 +10,17 @@ pub fn host_time_ns() -> u64 {
     u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
 }
 
+/// The day of a host time, UTC: years, months and days of the Gregorian calendar, counted from a first of March.
+pub fn day(ns: u64) -> String {
+    let days = ns / 86_400_000_000_000 + 719_468;
+    let (era, of_era) = (days / 146_097, days % 146_097);
+    let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month = (5 * of_year + 2) / 153;
+    let (day, month) = (of_year - (153 * month + 2) / 5 + 1, if month < 10 { month + 3 } else { month - 9 });
+    format!("{}-{month:02}-{day:02}", era * 400 + year_of_era + u64::from(month <= 2))
+}
+
 /// The host's clock of one session: CLOCK_REALTIME asked once, CLOCK_MONOTONIC since. A step of the wall clock
 /// during the session does not reach it.
 #[derive(Debug, Clone, Copy)]
@@ -64,24 +75,13 @@ pub fn monotonic_ns(instant: Instant) -> u64 {
     u64::try_from(instant.saturating_duration_since(origin).as_nanos()).unwrap_or(u64::MAX)
 }
 
-/// The day of a host time in UTC, `2026-11-29`: the Gregorian calendar, whose years are counted from a first of March.
-pub fn utc_day(ns: u64) -> String {
-    let days = ns / 86_400_000_000_000 + 719_468;
-    let (era, of_era) = (days / 146_097, days % 146_097);
-    let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month = (5 * of_year + 2) / 153;
-    let (day, month) = (of_year - (153 * month + 2) / 5 + 1, if month < 10 { month + 3 } else { month - 9 });
-    format!("{}-{month:02}-{day:02}", era * 400 + year_of_era + u64::from(month <= 2))
-}
-
 #[cfg(test)]
 mod tests {
-    use super::utc_day;
+    use super::day;
 
     #[test]
     fn days_are_those_of_the_calendar() {
-        let of = |s: u64| utc_day(s * 1_000_000_000);
+        let of = |s: u64| day(s * 1_000_000_000);
         assert_eq!([of(0), of(951_782_400), of(1_735_689_599)], ["1970-01-01", "2000-02-29", "2024-12-31"]);
         assert_eq!([of(1_740_787_200), of(1_735_689_600)], ["2025-03-01", "2025-01-01"]);
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A session on one page, for whoever asks later what it was worth: verdict, gaps, light, latencies, points, a turning cloud.
+//! The report of a session, one page: verdict, gaps, light, latencies, points, a turning cloud.
 //!
 //! The page is one HTML file that needs nothing else: pictures, points and the script that turns them are inside.
 
@@ -15,69 +15,63 @@ use crate::batch::summary::TriggerSummary;
 use crate::data::FrameSource;
 use crate::preview::quick_look::{POINTS_MAX, encode};
 use crate::preview::{Exposure, Light, Peaks, measure, upright_png};
-use crate::record::describe::{self, CameraDescription, EventKind, TimeCodeDescription};
+use crate::record::describe::{self, CameraDescription, Sheet};
 use crate::record::{
     GapRun, ReadError, RecordingReader, SessionReader, Unreadable, Verdict, WriteStatistics,
 };
 use std::path::{Path, PathBuf};
 
-/// Frames of each camera that are looked at.
+/// Frames of each camera that are measured, spread over the session.
 const LOOKS: u64 = 5;
 
 /// One camera of the session.
 #[derive(Debug, Clone)]
 pub struct CameraReport {
-    /// Outcomes and settings.
+    /// Outcomes of its triggers, and its settings.
     pub described: CameraDescription,
     /// Runs of triggers without a frame, with their cause.
     pub gaps: Vec<GapRun>,
-    /// Light of some frames, with their triggers.
+    /// Trigger and light of some frames, spread over the session.
     pub light: Vec<(u64, Light)>,
-    /// What exposure would be right, by all of those frames; none without fringes.
+    /// The exposure that would be right, by all of those frames; `None` without fringes.
     pub exposure: Option<Exposure>,
-    /// A frame of the middle, upright, PNG.
+    /// A frame from the middle of the session, upright, as PNG.
     pub picture: Option<Vec<u8>>,
-    /// Points of each reconstructed trigger.
+    /// Trigger and points of each reconstructed frame.
     pub points: Vec<(u64, u64)>,
 }
 
-/// One node's recording.
+/// What the page shows of one node's recording.
 #[derive(Debug, Clone)]
 pub struct NodeReport {
-    /// The node.
+    /// Name of the node in the rig.
     pub node: String,
-    /// Where it lies.
+    /// Directory of the recording, or the single segment.
     pub path: PathBuf,
-    /// What it amounts to; `None`: it was not finished.
+    /// The stored verdict; `None` where it was not finished.
     pub verdict: Option<Verdict>,
     /// How the disk kept up.
     pub statistics: Option<WriteStatistics>,
-    /// How long frames took, in the recorder's words.
-    pub latencies: Option<String>,
-    /// What happened, by kind.
-    pub events: Vec<EventKind>,
-    /// The triggers' time code, where there was any.
-    pub time_code: Option<TimeCodeDescription>,
-    /// What is missing or wrong.
-    pub missing: Vec<String>,
-    /// Its cameras.
+    /// Its recording as `fourdbody info` describes it.
+    pub sheet: Sheet,
+    /// Its cameras, in the order of the recording.
     pub cameras: Vec<CameraReport>,
 }
 
-/// A session.
+/// What the page shows of a session.
 #[derive(Debug, Clone)]
 pub struct Report {
-    /// Its name.
+    /// Name of the session, that of its directory.
     pub session: String,
-    /// When it was begun, host clock, ns.
+    /// When the session was begun, host clock, ns.
     pub created_ns: u64,
-    /// Pseudonymous.
+    /// Pseudonym of the subject, where one was given.
     pub subject: Option<String>,
-    /// Free text.
+    /// Free text of the operator, where one was given.
     pub note: Option<String>,
-    /// Triggers per second.
+    /// Triggers per second, as the header states it.
     pub trigger_rate_hz: f64,
-    /// Triggers of the session.
+    /// Triggers of the session, the most that a node has.
     pub triggers: u64,
     /// The nodes that recorded it.
     pub nodes: Vec<NodeReport>,
@@ -85,11 +79,12 @@ pub struct Report {
     pub unreadable: Vec<Unreadable>,
     /// Files of the result that are missing, and those left out, a sentence each.
     pub amiss: Vec<String>,
-    /// Points for the page's cloud (see [`encode`]), and of which trigger.
+    /// Trigger and points (see [`encode`]) of the cloud on the page.
     pub cloud: Option<(u64, Vec<u8>)>,
 }
 
-/// Looks at a session, and at what was reconstructed of it in `result` (the directory of `fourdbody reconstruct`).
+/// Collects the facts of a session, and of what was reconstructed of it in `result` (the directory of `fourdbody
+/// reconstruct`).
 pub fn gather(session: &Path, result: Option<&Path>) -> Result<Report, ReadError> {
     let reader = SessionReader::open(session)?;
     let of_result = |error: String| match result {
@@ -119,8 +114,6 @@ pub fn gather(session: &Path, result: Option<&Path>) -> Result<Report, ReadError
 }
 
 fn node(recording: &RecordingReader, points: &[Points]) -> NodeReport {
-    let events = describe::events(recording);
-    let latencies = events.iter().find(|event| event.kind == "latency").map(|e| e.first_message.clone());
     let gaps = recording.gap_runs();
     let cameras = describe::cameras(recording).into_iter().zip(gaps).enumerate();
     NodeReport {
@@ -128,10 +121,7 @@ fn node(recording: &RecordingReader, points: &[Points]) -> NodeReport {
         path: recording.path.clone(),
         verdict: recording.verdict.clone(),
         statistics: recording.statistics,
-        latencies,
-        time_code: describe::time_code(recording),
-        missing: describe::missing(recording),
-        events: events.into_iter().filter(|event| event.kind != "latency").collect(),
+        sheet: Sheet::of(recording),
         cameras: cameras
             .map(|(place, (described, gaps))| {
                 let samples = samples(recording, place);
@@ -171,10 +161,10 @@ fn samples(recording: &RecordingReader, camera: usize) -> Vec<Sample> {
     triggers.into_iter().filter_map(sample).collect()
 }
 
-/// Trigger, camera, points.
+/// Trigger, name of the camera, and points of its cloud.
 type Points = (u64, String, u64);
 
-/// From `summary.json` of a reconstruction, which must be of this session.
+/// Points of all frames from `summary.json` of a reconstruction, which must be of this session.
 fn points_of(result: &Path, session: &SessionReader) -> Result<Vec<Points>, String> {
     let summary = collect_shards::load_summary(result)
         .map_err(|e| format!("{e}; expected the directory of `fourdbody reconstruct --out`"))?;
@@ -192,7 +182,7 @@ fn points_of(result: &Path, session: &SessionReader) -> Result<Vec<Points>, Stri
     Ok(frames.collect())
 }
 
-/// What was reconstructed; none where there are no clouds.
+/// The reconstructed clouds; `None` where there are none.
 fn clouds_of(result: &Path) -> Result<Option<Clouds>, String> {
     let is_there = ["phases", "clouds", "merged"].iter().any(|folder| result.join(folder).is_dir());
     is_there.then(|| Clouds::open(result)).transpose()

@@ -5,6 +5,7 @@ use super::{CameraReport, NodeReport, Report};
 use crate::base::print::html as escape;
 use crate::play::Sequence;
 use crate::record::Status;
+use crate::record::describe::{Sheet, Table};
 use crate::telemetry::Grade;
 use crate::telemetry::thresholds::{DURABLE_P99, WRITE_P99};
 use base64::Engine;
@@ -13,7 +14,7 @@ use rayon::prelude::*;
 use std::fmt::Write;
 use std::path::Path;
 
-/// The script that turns clouds, as the console has it.
+/// Script of the console that shows a cloud and turns it.
 const CLOUD_VIEW: &str = include_str!("../../../../web/cloud-view.js");
 const PLAYER: &str = include_str!("../../../../web/player.js");
 const STYLE: &str =
@@ -22,7 +23,7 @@ const STYLE: &str =
 /// Frame sets that are packed at a time, which bounds the memory.
 const AT_ONCE: usize = 8;
 
-/// What stands behind the page, and behind the frame sets where it plays them.
+/// End of the page, behind the frame sets where it plays them.
 pub const END: &str = "</body></html>\n";
 
 /// The frame sets that a page has, and how many points of each.
@@ -32,16 +33,17 @@ pub struct Playing {
 }
 
 impl Playing {
-    /// Those of `result`, the directory of `fourdbody reconstruct`. Together they have at most `most_bytes` bytes of points
-    /// before they are packed.
+    /// Those of `result`, the directory of `fourdbody reconstruct`. Together they have at most `most_bytes` bytes of
+    /// points before they are packed.
     pub fn open(result: &Path, most_bytes: u64) -> Result<Self, String> {
         let sequence = Sequence::open(result)?;
         let points_each = sequence.points_each(most_bytes);
         Ok(Self { sequence, points_each })
     }
 
-    /// Writes a script element for each, `set-TRIGGER`, in the order of triggers: the first one can be shown while the page is
-    /// still read. Its text is base64 of the packed points. `progress` hears of the frame sets that are done, and of how many.
+    /// Writes a script element for each, `set-TRIGGER`, in the order of triggers: the first one can be shown while the
+    /// page is still read. Its text is base64 of the packed points. `progress` is called with the frame sets
+    /// that are done, and their number.
     pub fn write(&self, out: &mut impl std::io::Write, progress: impl Fn(u64, u64)) -> Result<(), String> {
         let triggers: Vec<u64> = self.sequence.triggers().collect();
         for (chunk, at_once) in triggers.chunks(AT_ONCE).enumerate() {
@@ -64,7 +66,7 @@ impl Playing {
     }
 }
 
-/// The page, up to [`END`]. With `playing` a player stands in it, whose frame sets are to follow.
+/// The page, up to [`END`]. With `playing` it has a player, and the frame sets follow behind it.
 pub fn render(report: &Report, playing: Option<&Playing>) -> String {
     let mut page = String::new();
     let title = escape(&report.session);
@@ -75,19 +77,16 @@ pub fn render(report: &Report, playing: Option<&Playing>) -> String {
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
          <title>{title} - fourdbody</title><style>{STYLE}</style></head><body>\n\
-         <h1>{title} <span class=\"{kind}\">{word}</span></h1>\n<dl class=\"facts\">"
+         <h1>{title} <span class=\"{kind}\">{word}</span></h1>\n"
     );
     let seconds = report.triggers as f64 / report.trigger_rate_hz.max(1e-9);
-    let facts = [
+    let of_session = [
         ("begun", format!("<time data-ns=\"{}\"></time>", report.created_ns)),
         ("subject", escape(report.subject.as_deref().unwrap_or("-"))),
         ("note", escape(report.note.as_deref().unwrap_or("-"))),
         ("triggers", format!("{} at {} Hz: {seconds:.2} s", report.triggers, report.trigger_rate_hz)),
     ];
-    for (name, value) in facts {
-        let _ = write!(page, "<dt>{name}</dt><dd>{value}</dd>");
-    }
-    page.push_str("</dl>\n");
+    facts(&mut page, of_session.into_iter());
     match (playing, &report.cloud) {
         (Some(playing), _) => player(&mut page, report.trigger_rate_hz, playing),
         (None, Some((trigger, points))) => {
@@ -123,13 +122,13 @@ pub fn render(report: &Report, playing: Option<&Playing>) -> String {
     page
 }
 
-/// A script of the console's for a script that is no module.
+/// A module of the console as a plain script: without imports and exports.
 fn plain(module: &str) -> String {
     let lines = module.lines().filter(|line| !line.starts_with("import "));
     lines.collect::<Vec<_>>().join("\n").replace("export class", "class")
 }
 
-/// What plays the frame sets. Its script runs as soon as it is read, before the frame sets are.
+/// Adds the player of the frame sets. Its script runs as soon as it is read, before the frame sets are.
 fn player(page: &mut String, trigger_rate_hz: f64, playing: &Playing) {
     let described = playing.sequence.described(trigger_rate_hz, playing.points_each);
     // Numbers and plain texts: this cannot fail.
@@ -143,12 +142,12 @@ fn player(page: &mut String, trigger_rate_hz: f64, playing: &Playing) {
     );
 }
 
-/// Dates in the reader's own time.
+/// Script that shows dates in the reader's own time zone.
 const DATES: &str = r#"
 for (const time of document.querySelectorAll("time")) time.textContent = new Date(Number(time.dataset.ns) / 1e6).toLocaleString([], { timeZoneName: "short" });
 "#;
 
-/// The one cloud.
+/// Script that shows the one cloud of a page without a player.
 const SHOW: &str = r#"
 const bytes = Uint8Array.from(atob(document.getElementById("points").textContent), (c) => c.charCodeAt(0));
 const canvas = document.getElementById("cloud");
@@ -160,7 +159,7 @@ const root = document.getElementById("player");
 const player = new Player(root, new PageSource(JSON.parse(root.dataset.described)));
 "#;
 
-/// The session in a word, and how good that is.
+/// The verdict on the session in a word, and its class of colour.
 fn verdict(report: &Report) -> (&'static str, &'static str) {
     let of_node = |node: &NodeReport| Some(node.verdict.as_ref()?.status);
     let statuses: Option<Vec<Status>> = report.nodes.iter().map(of_node).collect();
@@ -180,34 +179,16 @@ fn verdict(report: &Report) -> (&'static str, &'static str) {
 
 fn node_section(page: &mut String, report: &Report, node: &NodeReport) {
     let _ = write!(page, "<section><h2>Node {}</h2>", escape(&node.node));
-    if let Some(verdict) = &node.verdict {
-        let _ = write!(page, "<pre>{}</pre>", escape(&verdict.to_string()));
-    }
-    if !node.missing.is_empty() {
-        let _ = write!(page, "<pre class=\"bad\">{}</pre>", escape(&node.missing.join("\n")));
-    }
-    if let Some(time_code) = &node.time_code {
-        let _ = write!(page, "<p>Time code {}.</p>", escape(&time_code.to_string()));
+    facts(page, node.sheet.facts.iter().map(|(name, value)| (*name, escape(value))));
+    if !node.sheet.missing.is_empty() {
+        let _ = write!(page, "<pre class=\"bad\">{}</pre>", escape(&node.sheet.missing.join("\n")));
     }
     page.push_str("<h3>Frames over the session</h3>");
     node.cameras.iter().for_each(|camera| timeline(page, report.triggers, camera));
     page.push_str("<h3>Light</h3><div class=\"cameras\">");
     node.cameras.iter().for_each(|camera| camera_box(page, camera));
-    page.push_str("</div><h3>How long frames took</h3>");
-    latencies(page, node);
-    if !node.events.is_empty() {
-        page.push_str("<h3>Events</h3><table><tr><th>kind</th><th>count</th><th>first at trigger</th><th>first</th></tr>");
-        for event in &node.events {
-            let trigger = event.first_trigger.map_or("-".to_owned(), |trigger| trigger.to_string());
-            let (kind, message) = (escape(&event.kind), escape(&event.first_message));
-            let _ = write!(
-                page,
-                "<tr><td>{kind}</td><td>{}</td><td>{trigger}</td><td>{message}</td></tr>",
-                event.count
-            );
-        }
-        page.push_str("</table>");
-    }
+    page.push_str("</div>");
+    node.sheet.tables.iter().for_each(|sheet| table(page, node, sheet));
     let _ = writeln!(page, "<p class=\"soft\">{}</p></section>", escape(&node.path.display().to_string()));
 }
 
@@ -266,7 +247,7 @@ fn camera_box(page: &mut String, camera: &CameraReport) {
     }
     if let Some(grade) = worst(|light| light.grades().saturated) {
         let share = mean(|light| 100.0 * light.saturated);
-        let _ = write!(page, "<br><span class=\"{}\">saturated {share:.2} %</span>", class(grade));
+        let _ = write!(page, "<br><span class=\"{}\">overexposed {share:.2} %</span>", class(grade));
     }
     if let Some(exposure) = &camera.exposure {
         let _ = write!(page, "<br>right exposure: {exposure}");
@@ -279,7 +260,7 @@ fn camera_box(page: &mut String, camera: &CameraReport) {
     page.push_str("</figcaption></figure>");
 }
 
-/// Points over the session, 100 x 20.
+/// A curve of points over the session, 100 x 20 units.
 fn sparkline(counts: &[u64], most: u64) -> String {
     let last = counts.len().saturating_sub(1).max(1) as f64;
     let at = |(i, count): (usize, &u64)| {
@@ -292,28 +273,33 @@ fn sparkline(counts: &[u64], most: u64) -> String {
     )
 }
 
-fn latencies(page: &mut String, node: &NodeReport) {
-    if let Some(text) = &node.latencies {
-        let _ = write!(page, "<pre>{}</pre>", escape(&text.replace("; ", "\n")));
+/// Names and values, which are HTML.
+fn facts<'a>(page: &mut String, facts: impl Iterator<Item = (&'a str, String)>) {
+    page.push_str("<dl class=\"facts\">");
+    for (name, value) in facts {
+        let _ = write!(page, "<dt>{name}</dt><dd>{value}</dd>");
     }
-    let Some(statistics) = &node.statistics else { return };
-    page.push_str("<table><tr><th></th><th>half of the frames</th><th>99 of 100</th><th>longest</th></tr>");
-    let rows = [
-        ("until in the file", statistics.written, WRITE_P99),
-        ("until it survives a power cut", statistics.durable, DURABLE_P99),
-    ];
-    for (name, latency, threshold) in rows {
-        let ms = |us: u64| us as f64 / 1e3;
-        let grade = class(threshold.grade(ms(latency.p99_us)));
-        let _ = write!(
-            page,
-            "<tr><td>{name}</td><td>{:.1} ms</td><td class=\"{grade}\">{:.1} ms</td><td>{:.1} ms</td></tr>",
-            ms(latency.p50_us),
-            ms(latency.p99_us),
-            ms(latency.max_us)
-        );
+    page.push_str("</dl>\n");
+}
+
+/// A table of the sheet; the 99th percentiles of the disk's latencies are graded.
+fn table(page: &mut String, node: &NodeReport, table: &Table) {
+    let grades = node.statistics.filter(|_| table.title == Sheet::DISK).map(|statistics| {
+        let latencies = [(statistics.written, WRITE_P99), (statistics.durable, DURABLE_P99)];
+        latencies.map(|(latency, threshold)| class(threshold.grade(latency.p99_us as f64 / 1e3)))
+    });
+    let _ = write!(page, "<h3>{}</h3><table><tr>", table.title);
+    for name in table.head {
+        let _ = write!(page, "<th>{name}</th>");
     }
-    page.push_str("</table>");
+    for (number, row) in table.rows.iter().enumerate() {
+        page.push_str("</tr><tr>");
+        for (column, cell) in row.iter().enumerate() {
+            let grade = grades.and_then(|grades| grades.get(number).copied()).filter(|_| column == 2);
+            let _ = write!(page, "<td class=\"{}\">{}</td>", grade.unwrap_or_default(), escape(cell));
+        }
+    }
+    page.push_str("</tr></table>");
 }
 
 fn class(grade: Grade) -> &'static str {
@@ -327,6 +313,7 @@ fn class(grade: Grade) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::render;
+    use crate::record::describe::Sheet;
     use crate::record::{Advice, Status, Verdict};
     use crate::report::{NodeReport, Report};
 
@@ -365,10 +352,7 @@ mod tests {
             path: "/walk/node-a".into(),
             verdict: status.map(verdict),
             statistics: None,
-            latencies: None,
-            events: Vec::new(),
-            time_code: None,
-            missing: Vec::new(),
+            sheet: Sheet::default(),
             cameras: Vec::new(),
         }
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What became of each camera's action commands, and its PTP statuses.
+//! Results of each camera's action commands, and its PTP statuses.
 
 use crate::action_counts::ActionCounts;
 use crate::base::ids::CameraId;
@@ -9,28 +9,26 @@ use crate::time_scale::ScaleFound;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// A camera's action commands.
+/// Results of the action commands of one camera.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct ActionDescription {
-    /// The camera.
     pub camera: CameraId,
-    /// Those of the warm-up are among them.
+    /// Counts of all commands, those of the warm-up included.
     pub commands: ActionCounts,
 }
 
 /// The PTP statuses of a camera.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct PtpDescription {
-    /// The camera.
     pub camera: CameraId,
     /// Each status, and how often it is recorded: when the session began, at each change, and when it ended.
     pub statuses: BTreeMap<String, u64>,
-    /// What its clock counts; `None` where it was not read.
+    /// Time scale of its clock; `None` where the clock was not read.
     #[serde(flatten)]
     pub scale: Option<ScaleFound>,
 }
 
-/// Of the cameras that were triggered by action commands, in the recording's order.
+/// The cameras that were triggered by action commands, in the recording's order.
 pub fn actions(recording: &RecordingReader) -> Vec<ActionDescription> {
     let of = |camera: &CameraId| {
         let mut own = recording.events.iter().filter(|event| event.camera.as_ref() == Some(camera));
@@ -40,7 +38,7 @@ pub fn actions(recording: &RecordingReader) -> Vec<ActionDescription> {
     recording.header.cameras.iter().filter_map(|camera| of(&camera.id)).collect()
 }
 
-/// Of the cameras in which PTP was on, in the recording's order.
+/// The cameras in which PTP was on, in the recording's order.
 pub fn ptp(recording: &RecordingReader) -> Vec<PtpDescription> {
     let of = |camera: &CameraId| {
         let own = recording.events.iter().filter(|event| event.camera.as_ref() == Some(camera));

@@ -8,7 +8,6 @@
 
 use super::realtime::{limit_text, soft_limit, warn};
 use crossbeam_channel::Sender;
-use std::alloc::{Layout, alloc_zeroed, dealloc, handle_alloc_error};
 use std::fmt;
 use std::io;
 use std::ptr::NonNull;
@@ -20,19 +19,14 @@ pub const ROOM_BYTES: usize = 4096;
 /// Size and alignment of a huge page on x86-64 and on arm64 with 4 KiB pages.
 const HUGE_PAGE: usize = 2 << 20;
 
-/// Memory of one or several blocks, freed with the last of them.
+/// An anonymous mapping that one or several blocks share; it is unmapped when the last of them is dropped.
 #[derive(Debug)]
 struct Region {
+    /// Address at which the blocks begin: a page, or a huge page where there is room for one.
     memory: NonNull<u8>,
-    source: Source,
-}
-
-#[derive(Debug)]
-enum Source {
-    /// An anonymous mapping: where it starts, before alignment, and its length.
-    Mapped { start: NonNull<u8>, length: usize },
-    /// The allocator.
-    Allocated(Layout),
+    /// Address at which the mapping begins, and its length.
+    start: NonNull<u8>,
+    length: usize,
 }
 
 // SAFETY: a region's memory is reached through its blocks only, each of which has bytes of its own.
@@ -41,54 +35,43 @@ unsafe impl Send for Region {}
 unsafe impl Sync for Region {}
 
 impl Region {
-    /// From the allocator; `None` where it has none.
-    fn allocate(bytes: usize) -> Option<Self> {
-        let layout = Layout::from_size_align(bytes, ROOM_BYTES)
-            .expect("invariant: a node's frames fit in half the address space");
-        // SAFETY: the layout's size is at least ROOM_BYTES, hence not zero.
-        let memory = unsafe { alloc_zeroed(layout) };
-        Some(Self { memory: NonNull::new(memory)?, source: Source::Allocated(layout) })
-    }
-
-    /// Maps memory that starts on a huge page's boundary; `None` where the system has none.
-    fn map(bytes: usize) -> Option<Self> {
-        let whole = bytes.checked_next_multiple_of(HUGE_PAGE)?;
-        let length = whole.checked_add(HUGE_PAGE)?;
+    /// Maps memory of zeros; from a huge page on it starts on a huge page's boundary.
+    fn map(bytes: usize) -> io::Result<Self> {
+        let align = if bytes < HUGE_PAGE { ROOM_BYTES } else { HUGE_PAGE };
+        let whole = bytes.checked_next_multiple_of(align);
+        let length = whole.and_then(|whole| whole.checked_add(align)).ok_or(io::ErrorKind::OutOfMemory)?;
         let protection = libc::PROT_READ | libc::PROT_WRITE;
         let flags = libc::MAP_PRIVATE | libc::MAP_ANONYMOUS;
         // SAFETY: a fresh anonymous mapping at an address of the kernel's choice touches nothing that exists.
         let start = unsafe { libc::mmap(std::ptr::null_mut(), length, protection, flags, -1, 0) };
-        if start == libc::MAP_FAILED {
-            return None;
-        }
-        let start = NonNull::new(start.cast::<u8>())?;
-        let offset = start.as_ptr().align_offset(HUGE_PAGE);
-        // SAFETY: the offset is less than a huge page, and the mapping is one huge page longer than `whole`.
+        let start =
+            NonNull::new(start.cast::<u8>()).filter(|start| start.as_ptr().cast() != libc::MAP_FAILED);
+        let start = start.ok_or_else(io::Error::last_os_error)?;
+        let offset = start.as_ptr().align_offset(align);
+        // SAFETY: the offset is less than the alignment, by which the mapping is longer than what is used of it.
         let memory = unsafe { start.add(offset) };
-        // SAFETY: the range lies in the mapping just made; the advice changes how it is backed, not what it holds.
-        // A kernel without huge pages refuses it, and ordinary pages serve.
-        unsafe { libc::madvise(memory.as_ptr().cast(), whole, libc::MADV_HUGEPAGE) };
-        Some(Self { memory, source: Source::Mapped { start, length } })
+        if align == HUGE_PAGE {
+            // SAFETY: the range lies in the mapping just made; the advice changes how it is backed, not what it holds.
+            // A kernel without huge pages refuses it, and ordinary pages serve.
+            unsafe { libc::madvise(memory.as_ptr().cast(), length - align, libc::MADV_HUGEPAGE) };
+        }
+        Ok(Self { memory, start, length })
     }
 
-    /// Keeps the pages in memory, whatever happens.
-    fn lock(&self, bytes: usize) -> std::io::Result<()> {
+    /// Locks the pages in memory.
+    fn lock(&self, bytes: usize) -> io::Result<()> {
         // SAFETY: the range lies in the region; locking changes nothing that it holds.
         match unsafe { libc::mlock(self.memory.as_ptr().cast(), bytes) } {
             0 => Ok(()),
-            _ => Err(std::io::Error::last_os_error()),
+            _ => Err(io::Error::last_os_error()),
         }
     }
 }
 
 impl Drop for Region {
     fn drop(&mut self) {
-        match self.source {
-            // SAFETY: mapped in `map` with this start and length, and no block is left. It also unlocks.
-            Source::Mapped { start, length } => drop(unsafe { libc::munmap(start.as_ptr().cast(), length) }),
-            // SAFETY: allocated in `allocate` with this layout, and no block is left.
-            Source::Allocated(layout) => unsafe { dealloc(self.memory.as_ptr(), layout) },
-        }
+        // SAFETY: mapped in `map` with this start and length, and no block is left. It also unlocks.
+        unsafe { libc::munmap(self.start.as_ptr().cast(), self.length) };
     }
 }
 
@@ -101,6 +84,9 @@ fn open(shelf: &Shelf) -> MutexGuard<'_, Vec<Block>> {
 }
 
 /// A node's frame blocks, in use and not. Clones share them.
+///
+/// The node makes one when it starts and keeps it until it ends: blocks are lent to streams, and come back to its shelf
+/// when they are dropped. So a session allocates nothing that an earlier one has left.
 #[derive(Debug, Clone)]
 pub struct Pool {
     shelf: Arc<Shelf>,
@@ -110,14 +96,14 @@ pub struct Pool {
 }
 
 impl Pool {
-    /// An empty pool. With `lock`, memory is locked where the system permits; `needed_bytes` is what the whole node will
-    /// take ([`block_bytes`] for each block), for the warning where it does not.
+    /// An empty pool. With `lock`, memory is locked where the system permits; `needed_bytes` is what the whole node
+    /// will take ([`block_bytes`] for each block), for the warning where it does not.
     pub fn new(lock: bool, needed_bytes: u64) -> Self {
         Self { shelf: Arc::default(), lock, needed: needed_bytes }
     }
 
-    /// `count` blocks for `pixel_bytes` of pixels each that come as `received_bytes`, which may be more: those of earlier
-    /// sessions first, then fresh ones, all touched. Kept blocks of other sizes are freed.
+    /// `count` blocks for `pixel_bytes` of pixels each that come as `received_bytes`, which may be more: those of
+    /// earlier sessions first, then fresh ones, all touched. Kept blocks of other sizes are freed.
     ///
     /// # Errors
     /// The system has no memory for them; a camera that comes back during a session then stays away, and the others go on.
@@ -157,17 +143,12 @@ impl Pool {
         drop(blocks);
     }
 
-    /// Blocks in the pool that no stream has.
-    pub fn idle(&self) -> usize {
-        open(&self.shelf).len()
-    }
-
     fn make(&self, sizes: Sizes, count: usize) -> io::Result<Vec<Block>> {
         let bytes = sizes.in_memory() * count;
-        let region = Region::map(bytes).or_else(|| Region::allocate(bytes)).ok_or_else(|| {
+        let region = Region::map(bytes).map_err(|error| {
             let message = format!(
-                "the system has no {} MiB of memory for {count} frames; lower acquisition.buffers_per_camera, or raise the \
-                 limit on this process' memory",
+                "the system has no {} MiB of memory for {count} frames ({error}); lower \
+                 acquisition.buffers_per_camera, or raise the limit on this process' memory",
                 bytes >> 20
             );
             io::Error::new(io::ErrorKind::OutOfMemory, message)
@@ -178,7 +159,8 @@ impl Pool {
         {
             let limit = limit_text(soft_limit(libc::RLIMIT_MEMLOCK));
             let message = format!(
-                "frame memory is not locked ({error}): RLIMIT_MEMLOCK is {limit} bytes, needed {}; set LimitMEMLOCK, or lock_memory = false",
+                "frame memory is not locked ({error}): RLIMIT_MEMLOCK is {limit} bytes, needed {}; set LimitMEMLOCK, \
+                 or lock_memory = false",
                 self.needed
             );
             warn("memory_not_locked", message);
@@ -187,7 +169,8 @@ impl Pool {
     }
 }
 
-/// Bytes that a block takes of the memory, for so many that are received: whole pages, so that all pixels start on one.
+/// Bytes of memory of a block that receives `received_bytes`: whole pages, so that the pixels of all blocks start on
+/// one.
 pub fn block_bytes(received_bytes: usize) -> usize {
     Sizes::new(received_bytes, received_bytes).in_memory()
 }
@@ -226,14 +209,12 @@ unsafe impl Send for Block {}
 unsafe impl Sync for Block {}
 
 impl Block {
-    /// Allocates a block of its own for `pixel_bytes` of pixels and touches every page.
+    /// Maps a block of its own for `pixel_bytes` of pixels and touches every page.
+    ///
+    /// # Panics
+    /// The system has no memory for it.
     pub fn allocate(pixel_bytes: usize) -> Self {
-        let bytes = block_bytes(pixel_bytes);
-        let layout = Layout::from_size_align(bytes, ROOM_BYTES);
-        let region = Region::allocate(bytes).unwrap_or_else(|| match layout {
-            Ok(layout) => handle_alloc_error(layout),
-            Err(error) => panic!("invariant: a frame fits in half the address space ({error})"),
-        });
+        let region = Region::map(block_bytes(pixel_bytes)).expect("memory for a frame");
         Self::cut(&Arc::new(region), 0, Sizes::new(pixel_bytes, pixel_bytes))
     }
 
@@ -248,14 +229,14 @@ impl Block {
         block
     }
 
-    /// Where it goes when it is dropped.
+    /// Sets the channel that it goes to when it is dropped.
     pub fn set_home(&mut self, home: Sender<Block>) {
         self.home = Some(home);
     }
 
     /// Room and what is received.
     fn whole(&self) -> &[u8] {
-        // SAFETY: the memory is initialized (both sources give zeros), `received` long and borrowed with self.
+        // SAFETY: the memory is initialized (the mapping is of zeros), `received` long and borrowed with self.
         unsafe { std::slice::from_raw_parts(self.memory.as_ptr(), self.sizes.received) }
     }
 
@@ -265,28 +246,28 @@ impl Block {
         unsafe { std::slice::from_raw_parts_mut(self.memory.as_ptr(), self.sizes.received) }
     }
 
-    /// Room and pixels.
+    /// The room for the envelope, and the pixels.
     pub fn bytes(&self) -> &[u8] {
         &self.whole()[..self.sizes.pixels]
     }
 
-    /// Room and pixels.
+    /// The room for the envelope, and the pixels.
     pub fn bytes_mut(&mut self) -> &mut [u8] {
         let end = self.sizes.pixels;
         &mut self.whole_mut()[..end]
     }
 
-    /// What a camera sends, of which the pixels are made.
+    /// The bytes that a camera sends, which are made to pixels in place.
     pub fn received(&self) -> &[u8] {
         &self.whole()[ROOM_BYTES..]
     }
 
-    /// What a camera sends, of which the pixels are made.
+    /// The bytes that a camera sends, which are made to pixels in place.
     pub fn received_mut(&mut self) -> &mut [u8] {
         &mut self.whole_mut()[ROOM_BYTES..]
     }
 
-    /// The pixels.
+    /// The pixels, without the room in front of them.
     pub fn pixels(&self) -> &[u8] {
         &self.bytes()[ROOM_BYTES..]
     }
@@ -301,7 +282,7 @@ impl Block {
         &mut self.bytes_mut()[..ROOM_BYTES]
     }
 
-    /// Where the camera layer may write what it receives while it holds the block.
+    /// Address at which the camera layer may write what it receives while it holds the block.
     pub fn pixel_pointer(&mut self) -> *mut u8 {
         self.received_mut().as_mut_ptr()
     }
@@ -358,6 +339,10 @@ mod tests {
         drop(block);
     }
 
+    fn idle(pool: &Pool) -> usize {
+        super::open(&pool.shelf).len()
+    }
+
     fn places(blocks: &[Block]) -> BTreeSet<usize> {
         blocks.iter().map(|block| block.pixels().as_ptr() as usize).collect()
     }
@@ -380,9 +365,9 @@ mod tests {
             // As the stream does when it ends.
             returns.try_iter().for_each(drop);
             drop(returns);
-            assert_eq!(pool.idle(), 4);
+            assert_eq!(idle(&pool), 4);
             drop(out);
-            assert_eq!(pool.idle(), 5);
+            assert_eq!(idle(&pool), 5);
         }
     }
 
@@ -398,9 +383,9 @@ mod tests {
             assert!(block.bytes().iter().all(|&byte| byte == i as u8 + 1));
         }
         drop(blocks);
-        assert_eq!(pool.idle(), 5);
+        assert_eq!(idle(&pool), 5);
         let other = pool.take(6000, 6000, 1).expect("memory");
-        assert_eq!((pool.idle(), other[0].pixels().len()), (0, 6000));
+        assert_eq!((idle(&pool), other[0].pixels().len()), (0, 6000));
         drop(pool);
         // The pool is gone: its blocks are freed where they are dropped.
         drop(other);
@@ -427,6 +412,6 @@ mod tests {
     fn mappings_start_on_a_huge_page() {
         let region = Region::map(3 * HUGE_PAGE + 1).expect("memory");
         assert_eq!(region.memory.as_ptr() as usize % HUGE_PAGE, 0);
-        assert!(Region::map(usize::MAX - 1).is_none());
+        assert!(Region::map(usize::MAX - 1).is_err());
     }
 }

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Work that may take any time and must never be waited for: `fourdbody` in a process of its own, on time that nobody else wants.
+//! Work that may take any time and must never be waited for: `fourdbody` in a process of its own, at idle priority.
 
 use std::ffi::OsStr;
 use std::process::{Child, Command, Stdio};
 
 /// A command of this program at idle priority (SCHED_IDLE) without input or output. It is killed when the thread that
-/// spawns it ends, so that a killed parent leaves nobody behind.
+/// spawns it ends, so that a killed parent leaves no process behind.
 pub fn command<S: AsRef<OsStr>>(args: impl IntoIterator<Item = S>) -> std::io::Result<Command> {
     let program = std::env::current_exe()?;
     // Both tools are of util-linux, which every Debian has.

@@ -5,9 +5,9 @@ use std::fs;
 use std::path::Path;
 
 /// Bytes that can be had without swapping: by the kernel's estimate, and by the limit of this process' control group.
-/// `None` where the system does not say.
+/// `None` where the system does not report it.
 pub fn available() -> Option<u64> {
-    let of_host = available_in(&fs::read_to_string("/proc/meminfo").ok()?)?;
+    let of_host = bytes_of("MemAvailable:", &fs::read_to_string("/proc/meminfo").ok()?)?;
     let of_group = fs::read_to_string("/proc/self/cgroup").ok().and_then(|text| {
         let group = text.lines().find_map(|line| line.strip_prefix("0::/"))?;
         let dir = Path::new("/sys/fs/cgroup").join(group);
@@ -17,22 +17,22 @@ pub fn available() -> Option<u64> {
     Some(of_group.map_or(of_host, |of_group| of_group.min(of_host)))
 }
 
-/// From the text of `/proc/meminfo`.
-fn available_in(meminfo: &str) -> Option<u64> {
-    let line = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+/// Bytes behind a key in a text of `/proc`, such as `MemAvailable:` of `/proc/meminfo`.
+pub(super) fn bytes_of(key: &str, text: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(key))?;
     line.trim().trim_end_matches("kB").trim().parse::<u64>().ok()?.checked_mul(1024)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{available, available_in};
+    use super::{available, bytes_of};
 
     #[test]
     fn the_kernel_says_it_in_kib() {
         let text = "MemTotal:       24617232 kB\nMemFree:  1 kB\nMemAvailable:   20480 kB\n";
-        assert_eq!(available_in(text), Some(20 << 20));
-        assert_eq!(available_in("MemTotal: 3 kB\n"), None);
-        assert_eq!(available_in("MemAvailable: much\n"), None);
+        assert_eq!(bytes_of("MemAvailable:", text), Some(20 << 20));
+        assert_eq!(bytes_of("MemAvailable:", "MemTotal: 3 kB\n"), None);
+        assert_eq!(bytes_of("MemAvailable:", "MemAvailable: much\n"), None);
         assert!(available().is_none_or(|bytes| bytes > 1 << 20));
     }
 }

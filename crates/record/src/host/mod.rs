@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is asked of Linux: memory for frames, real-time threads, an allocator that keeps its memory, idle processes.
+//! What the program requires of Linux: memory for frames, real-time threads, an allocator that keeps its memory, idle
+//! processes.
 
 /// Blocks of memory that frames are received into.
 pub mod frame_memory;
-/// The allocator's settings.
+/// Settings of the allocator against growing from session to session.
 pub mod heap;
 /// Work that nothing waits for, in processes of its own.
 pub mod idle_process;

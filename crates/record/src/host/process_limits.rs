@@ -2,30 +2,32 @@
 //! Limits on the memory of this process (`ulimit -v`, `ulimit -d`): whether a session fits, before it begins.
 //!
 //! Libraries that this program stands on end the process where they get no memory: a thread that cannot be started, a
-//! list that cannot grow. So nothing is begun that a limit has no room for. What the process had before its first session
-//! is what the rest is measured from: what a session leaves behind is used again by the next one.
+//! list that cannot grow. So nothing is begun that a limit has no room for. What the process had before its first
+//! session is what the rest is measured from: what a session leaves behind is used again by the next one.
 
+use super::memory::bytes_of;
 use super::realtime::soft_limit;
 use crate::base::{Exit, Fault, regular};
 use std::path::Path;
 
 const MIB: u64 = 1 << 20;
 
-/// Of a camera: its receiver and its attendant, and the two threads of Aravis.
+/// Threads of a camera: its receiver, its attendant, and two of Aravis.
 const THREADS_PER_CAMERA: u64 = 4;
-/// Of a session: recorder, writer, disks, the link to the HSU, the API, previews, the live body.
+/// Threads of a session: recorder, writer, disks, the link to the HSU, the API, previews, the live body.
 const THREADS: u64 = 12;
-/// The stack of a thread.
+/// Address space of a thread's stack, bytes: the default of glibc.
 const STACK_BYTES: u64 = 8 * MIB;
-/// What the allocator sets aside for a thread of its own, at most eight a core; of that it writes to a small part.
+/// Address space of an arena of the allocator, bytes; it writes to a small part of it.
 const ARENA_BYTES: u64 = 64 * MIB;
+/// Arenas for each core, at most: the default of glibc.
 const ARENAS_PER_CORE: u64 = 8;
-/// What a thread holds beside its stack, about.
+/// Memory that a thread holds beside its stack, bytes, estimated.
 const HEAP_BYTES: u64 = 2 * MIB;
-/// Chunks on their way to the disk, packets of cameras, tables.
+/// Chunks on their way to the disk, packets of cameras and tables, bytes, estimated.
 const REST_BYTES: u64 = 256 * MIB;
 
-/// What a limit counts of this process.
+/// The sizes of this process that limits apply to, bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Counted {
     address_space: u64,
@@ -35,11 +37,7 @@ struct Counted {
 impl Counted {
     /// From the text of `/proc/self/status`.
     fn in_status(text: &str) -> Option<Self> {
-        let bytes = |key: &str| {
-            let line = text.lines().find_map(|line| line.strip_prefix(key))?;
-            line.trim().trim_end_matches("kB").trim().parse::<u64>().ok()?.checked_mul(1024)
-        };
-        Some(Self { address_space: bytes("VmSize:")?, data: bytes("VmData:")? })
+        Some(Self { address_space: bytes_of("VmSize:", text)?, data: bytes_of("VmData:", text)? })
     }
 }
 
@@ -50,19 +48,19 @@ pub struct ProcessMemory {
 }
 
 impl ProcessMemory {
-    /// As it is now.
+    /// Reads what the process has at this moment.
     pub fn at_start() -> Self {
         let text = regular::read_text(Path::new("/proc/self/status"), MIB);
         Self { at_start: text.ok().and_then(|text| Counted::in_status(&text)) }
     }
 
-    /// Refuses a session of so many cameras, with so many bytes of memory for frames, that the limits of the process as they
-    /// are now have no room for.
+    /// Refuses a session of `cameras` cameras with `frame_bytes` bytes of memory for frames, if the present limits of
+    /// the process have no room for it.
     ///
     /// # Errors
     /// The limit by name, what it is and what it would have to be.
     pub fn check(&self, cameras: u64, frame_bytes: u64) -> Result<(), Fault> {
-        // Where the system does not tell what the process has, its limits are not known to be in the way.
+        // Where the system does not report what the process has, nothing is refused.
         let Some(at_start) = self.at_start else { return Ok(()) };
         let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get) as u64;
         let limits =
@@ -72,7 +70,7 @@ impl ProcessMemory {
     }
 }
 
-/// What the process may have; nothing: as much as it wants.
+/// Limits of the process, bytes; `None` where there is none.
 #[derive(Debug, Clone, Copy)]
 struct Limits {
     address_space: Option<u64>,
@@ -84,29 +82,16 @@ fn refusal(at_start: Counted, limits: Limits, cores: u64, cameras: u64, frame_by
     let common = (REST_BYTES + threads * STACK_BYTES).saturating_add(frame_bytes);
     let arenas = threads.min(ARENAS_PER_CORE * cores) * ARENA_BYTES;
     let of = [
-        (
-            "RLIMIT_AS",
-            "LimitAS",
-            "ulimit -v",
-            limits.address_space,
-            at_start.address_space,
-            common.saturating_add(arenas),
-        ),
-        (
-            "RLIMIT_DATA",
-            "LimitDATA",
-            "ulimit -d",
-            limits.data,
-            at_start.data,
-            common.saturating_add(threads * HEAP_BYTES),
-        ),
+        (["RLIMIT_AS", "LimitAS", "ulimit -v"], limits.address_space, at_start.address_space, arenas),
+        (["RLIMIT_DATA", "LimitDATA", "ulimit -d"], limits.data, at_start.data, threads * HEAP_BYTES),
     ];
-    of.into_iter().find_map(|(name, unit, shell, limit, had, more)| {
-        let (limit, needed) = (limit?, had.saturating_add(more));
+    of.into_iter().find_map(|([name, unit, shell], limit, had, more)| {
+        let (limit, needed) = (limit?, had.saturating_add(common.saturating_add(more)));
         (limit < needed).then(|| {
             format!(
-                "{name} lets this process have {} MiB, expected at least {} MiB for a session of {cameras} cameras, {} MiB of \
-                 them for frames; raise it ({unit} of the unit, {shell}), or lower acquisition.buffers_per_camera",
+                "{name} lets this process have {} MiB, expected at least {} MiB for a session of {cameras} cameras, {} \
+                 MiB of them for frames; raise it ({unit} of the unit, {shell}), or lower \
+                 acquisition.buffers_per_camera",
                 limit / MIB,
                 needed.div_ceil(MIB),
                 frame_bytes.div_ceil(MIB)
@@ -125,19 +110,19 @@ mod tests {
         let at_start = Counted::in_status(text).expect("both lines");
         assert_eq!(at_start, Counted { address_space: 100 * MIB, data: 50 * MIB });
         assert_eq!(Counted::in_status("VmSize: 1 kB\n"), None);
-        let told = |address_space: Option<u64>, data: Option<u64>| {
+        let refusal_of = |address_space: Option<u64>, data: Option<u64>| {
             let [address_space, data] = [address_space, data].map(|mib| mib.map(|mib| mib * MIB));
             refusal(at_start, Limits { address_space, data }, 2, 4, 600 * MIB)
         };
         // 28 threads: 224 MiB of stacks; 16 arenas of 64 MiB.
-        assert_eq!((told(None, None), told(Some(2204), Some(1186))), (None, None));
-        let refused = told(Some(2203), None).expect("too little");
+        assert_eq!((refusal_of(None, None), refusal_of(Some(2204), Some(1186))), (None, None));
+        let refused = refusal_of(Some(2203), None).expect("too little");
         assert!(
             refused.contains("RLIMIT_AS lets this process have 2203 MiB, expected at least 2204 MiB"),
             "{refused}"
         );
         assert!(refused.contains("600 MiB of them for frames") && refused.contains("LimitAS"), "{refused}");
-        assert!(told(None, Some(1185)).expect("too little").contains("RLIMIT_DATA"));
+        assert!(refusal_of(None, Some(1185)).expect("too little").contains("RLIMIT_DATA"));
         assert_eq!(ProcessMemory::at_start().check(1, 0), Ok(()), "tests run without limits");
     }
 }

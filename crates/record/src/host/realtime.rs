@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Real-time priority, cores and locked memory: asked for where configured, and what the system refuses is kept as a
+//! Real-time priority, cores and locked memory: requested where configured, and what the system refuses is kept as a
 //! warning for log, status and recording.
 //!
 //! The threads of the pixel path are started in several places, one of them inside Aravis: they all take what the
@@ -10,7 +10,7 @@ pub use crate::config::Realtime;
 use std::io;
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// Something that was asked of the system and refused.
+/// Something that was requested of the system and refused.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Warning {
     /// `realtime_refused` or `memory_not_locked`: the kind of the recording's event.
@@ -27,13 +27,13 @@ fn kept() -> MutexGuard<'static, Vec<Warning>> {
     WARNINGS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Sets what [`enter_configured`] asks for; the first call of the process counts.
+/// Sets what [`enter_configured`] requests; the first call of the process counts.
 pub fn configure(realtime: &Realtime) {
     CONFIGURED.get_or_init(|| realtime.clone());
 }
 
-/// Gives the calling thread what the process was configured with; a refusal becomes a warning. Whether it gets a processor
-/// is watched from then on ([`super::run_delay`]).
+/// Gives the calling thread what the process was configured with; a refusal becomes a warning. Whether it gets a
+/// processor is watched from then on ([`super::run_delay`]).
 pub fn enter_configured(role: &str) {
     let Some(realtime) = CONFIGURED.get() else { return };
     super::run_delay::watch(role);
@@ -73,7 +73,8 @@ pub fn enter(realtime: &Realtime, role: &str) -> Option<String> {
     let cpus = (!realtime.cpus.is_empty()).then(|| set_cpus(&realtime.cpus)).and_then(Result::err);
     let priority = priority.map(|error| {
         format!(
-            "real-time priority {} refused ({error}): RLIMIT_RTPRIO is {}, needed {}; set LimitRTPRIO, or grant CAP_SYS_NICE",
+            "real-time priority {} refused ({error}): RLIMIT_RTPRIO is {}, needed {}; set LimitRTPRIO, or grant \
+             CAP_SYS_NICE",
             realtime.priority,
             limit_text(soft_limit(libc::RLIMIT_RTPRIO)),
             realtime.priority
@@ -115,15 +116,15 @@ fn set_cpus(cpus: &[usize]) -> io::Result<()> {
     }
 }
 
-/// The process's soft limit of a resource; `None`: unlimited, or not told.
+/// The process's soft limit of a resource; `None`: unlimited, or not known.
 pub fn soft_limit(resource: libc::__rlimit_resource_t) -> Option<u64> {
     let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
     // SAFETY: the structure lives during the call, which only fills it.
-    let asked = unsafe { libc::getrlimit(resource, &mut limit) };
-    (asked == 0 && limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur)
+    let code = unsafe { libc::getrlimit(resource, &mut limit) };
+    (code == 0 && limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur)
 }
 
-/// A limit for people.
+/// A limit of the process as text, `unlimited` where there is none.
 pub fn limit_text(limit: Option<u64>) -> String {
     limit.map_or_else(|| "unlimited".to_owned(), |limit| limit.to_string())
 }

@@ -7,9 +7,9 @@ use std::os::unix::fs::FileExt;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Threads are looked at over so long at least.
+/// Shortest time over which a thread's counts are compared.
 const WINDOW: Duration = Duration::from_millis(200);
-/// What a busy host costs a thread each time it wants to run is less.
+/// Time without a processor, each time a thread wants to run, that is more than a busy host causes.
 const STILL: Duration = Duration::from_millis(50);
 
 /// What the kernel counts of a thread, in all or in a window.
@@ -57,18 +57,16 @@ struct Watched {
     schedstat: File,
     counts: Counts,
     read: Instant,
-    /// What the last look found, and in how long.
+    /// Counts of the last window, and its length.
     last: (Counts, Duration),
 }
 
-/// A thread without a processor. In words it is what the host did.
+/// A thread that waited for a processor for most of a window.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Starved {
-    /// What it does.
     pub role: String,
-    /// So long it waited for a processor.
+    /// Time that it waited for a processor, of the window.
     pub waited: Duration,
-    /// In so long.
     pub window: Duration,
 }
 
@@ -93,8 +91,8 @@ pub fn watch(role: &str) {
     watched().push(Watched { role, schedstat, counts, read, last });
 }
 
-/// The watched thread that stood still for want of a processor, if any did; of several the one that waited longest. Looks at
-/// most every 200 ms, and costs a system call a thread then.
+/// The watched thread that stood still for want of a processor, if any did; of several the one that waited longest.
+/// Looks at most every 200 ms, and costs a system call a thread then.
 pub fn starved() -> Option<Starved> {
     let mut worst: Option<Starved> = None;
     watched().retain_mut(|thread| {

@@ -1,28 +1,30 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Where a stream begins: which trigger its first frames are of.
 //!
-//! Three sources say something of it, and two must agree. An armed stream is silent before the train starts, so by its
-//! **counter** the first block is the first warm-up trigger's, unless the camera ignored that. The HSU leaves longer pauses
-//! before some triggers of the warm-up (`hsu-protocol.md`), so the **clock** of the camera and the **arrivals** each show a
-//! rhythm: only at the right place is the way from trigger to timestamp, or to arrival, the same for all frames. How long
-//! that way is, is not assumed, and neither is it that the camera takes every trigger.
+//! Three sources are evidence of it, and two must agree. An armed stream is silent before the train starts, so by its
+//! **counter** the first block is the first warm-up trigger's, unless the camera ignored that. The HSU leaves longer
+//! pauses before some triggers of the warm-up (`hsu-protocol.md`), so the **clock** of the camera and the **arrivals**
+//! each show a rhythm: only at the right place is the way from trigger to timestamp, or to arrival, the same for all
+//! frames. How long that way is, is not assumed, and neither is it that the camera takes every trigger.
 
 use super::sighting::Sighting;
 use super::trigger_table::TriggerTable;
 
-/// Frames that are looked at: the first of the stream, which have the rhythm, and the last.
+/// Frames of a stream that are kept: the first [`FIRST`], which have the rhythm, and the last.
 const FRAMES: usize = 48;
+/// Frames at the beginning of a stream that are never dropped: the rhythm of the warm-up is in them.
 const FIRST: usize = 16;
-/// A place is heard where all frames but so many fit.
+/// Frames that need not fit the place that is found: one may have been held up or torn.
 const MISFITS: usize = 1;
-/// And so many more fit than at any other.
+/// Frames by which the best place must lead the second best.
 const MARGIN: usize = 2;
+/// The same for arrivals alone, which may be regular by chance.
 const MARGIN_ALONE: usize = 3;
-/// Frames before a place can be heard.
+/// Frames before a place can be found: fewer show too little of the rhythm.
 const ENOUGH: usize = 5;
-/// So many periods around a place others are looked at.
+/// Periods around a place within which other places are compared with it.
 const AROUND: i64 = 4;
-/// A host may stand still for so long, ns: a frame may be of any trigger before its arrival.
+/// Time that a host may stand still, ns: a frame may be of any trigger that long before its arrival.
 const STALL_NS: u64 = 400_000_000;
 
 /// A frame of the warm-up.
@@ -37,22 +39,21 @@ pub struct Early {
 }
 
 impl Early {
-    /// What a frame shows, `count` blocks after the first.
+    /// The times of a frame that came `count` blocks after the first.
     pub fn of(frame: &Sighting, count: i64, arrived_ns: Option<i128>) -> Self {
         Self { count, camera_ns: frame.camera_ns, arrived_ns }
     }
 }
 
-/// What a rhythm is heard in.
+/// The times in which a rhythm is sought.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Heard {
-    /// The camera's timestamps.
+enum Source {
     Clock,
     /// The arrivals on the host.
     Arrivals,
 }
 
-impl Heard {
+impl Source {
     fn ns(self, frame: &Early) -> Option<i128> {
         match self {
             Self::Clock => frame.camera_ns.map(i128::from),
@@ -61,13 +62,13 @@ impl Heard {
     }
 }
 
-/// Of each frame its trigger, as far as it is known.
+/// The trigger of each frame, as far as it is known.
 type Numbers = Vec<Option<i64>>;
 
 /// The triggers of a stream's first frames.
 #[derive(Debug, Clone)]
 pub struct Placed {
-    /// By the better of the two sources that agree; of each frame, as far as it gives one.
+    /// The trigger of each frame by the better of the two sources that agree, as far as it gives one.
     pub numbers: Vec<Option<i64>>,
     /// Whether the other source gives that frame the same.
     pub agreed: Vec<bool>,
@@ -80,7 +81,7 @@ pub struct Anchoring {
 }
 
 impl Anchoring {
-    /// A frame came.
+    /// Adds a frame; of many, the first and the last ones are kept.
     pub fn add(&mut self, frame: Early) {
         if self.frames.len() == FRAMES {
             self.frames.remove(FIRST);
@@ -88,17 +89,17 @@ impl Anchoring {
         self.frames.push(frame);
     }
 
-    /// The last frame.
+    /// The frame that was added last.
     pub fn last(&self) -> Option<&Early> {
         self.frames.last()
     }
 
-    /// The frames that are looked at, in order.
+    /// The frames that are kept, in the order of arrival.
     pub fn frames(&self) -> &[Early] {
         &self.frames
     }
 
-    /// Whether a frame, so many ids after the stream's first, is the last one once more.
+    /// Whether a frame, `count` ids after the stream's first, is the last one once more.
     pub fn is_copy(&self, frame: &Sighting, count: i64) -> bool {
         self.last().is_some_and(|last| {
             count <= last.count && (frame.camera_ns.is_none() || frame.camera_ns == last.camera_ns)
@@ -107,10 +108,10 @@ impl Anchoring {
 
     /// The triggers of the frames, where two sources agree on them. `first` is the number of the first trigger.
     pub fn place(&self, first: i64, table: &TriggerTable, period_ns: u64) -> Option<Placed> {
-        let by_clock = self.rhythm(Heard::Clock, MARGIN, table, period_ns);
+        let by_clock = self.rhythm(Source::Clock, MARGIN, table, period_ns);
         // Beside the clock as much is enough; alone arrivals may be regular by chance.
         let margin = if by_clock.is_some() { MARGIN } else { MARGIN_ALONE };
-        let by_arrivals = self.rhythm(Heard::Arrivals, margin, table, period_ns);
+        let by_arrivals = self.rhythm(Source::Arrivals, margin, table, period_ns);
         let by_count: Numbers = self.frames.iter().map(|frame| first.checked_add(frame.count)).collect();
         let agree = |one: &[Option<i64>], other: &[Option<i64>]| {
             let both = || one.iter().zip(other).filter_map(|(one, other)| one.as_ref().zip(other.as_ref()));
@@ -138,10 +139,10 @@ impl Anchoring {
     }
 
     /// The triggers that a rhythm gives the frames; `None` where no place stands out by `margin` frames.
-    fn rhythm(&self, heard: Heard, margin: usize, table: &TriggerTable, period_ns: u64) -> Option<Numbers> {
-        let known = |frame: &&Early| heard.ns(frame).is_some() && frame.arrived_ns.is_some();
+    fn rhythm(&self, source: Source, margin: usize, table: &TriggerTable, period_ns: u64) -> Option<Numbers> {
+        let known = |frame: &&Early| source.ns(frame).is_some() && frame.arrived_ns.is_some();
         let reference = self.frames.iter().rev().find(known)?;
-        let (arrived, at) = (reference.arrived_ns?, heard.ns(reference)?);
+        let (arrived, at) = (reference.arrived_ns?, source.ns(reference)?);
         let period = i128::from(period_ns);
         let (latest, behind) = table.nearest(arrived + period / 8)?;
         // Whatever was fired by then must be reported: of the others it is not known whether they fit better.
@@ -159,7 +160,7 @@ impl Anchoring {
             if arrived - i128::from(due) < -period / 8 {
                 continue;
             }
-            let numbers = self.fit(heard, at - i128::from(due), table, period_ns);
+            let numbers = self.fit(source, at - i128::from(due), table, period_ns);
             let fit = numbers.iter().flatten().count();
             match &best {
                 Some((found, _)) if fit <= *found => second = second.max(fit),
@@ -170,30 +171,30 @@ impl Anchoring {
             }
         }
         let (fit, numbers) = best?;
-        let heard_of = self.frames.iter().filter(known).count();
-        let most = heard_of - fit <= MISFITS;
+        let seen = self.frames.iter().filter(known).count();
+        let most = seen - fit <= MISFITS;
         (most && fit >= ENOUGH && fit >= second + margin).then_some(numbers)
     }
 
     /// Whether the clock fits another place better than the one that counter and arrivals give.
     fn clock_speaks_against(&self, place: &[Option<i64>], table: &TriggerTable, period_ns: u64) -> bool {
-        let ns = |frame: &Early| Heard::Clock.ns(frame);
+        let ns = |frame: &Early| Source::Clock.ns(frame);
         let placed = self.frames.iter().zip(place).rev().find_map(|(frame, number)| ns(frame).zip(*number));
         let Some((at, due)) = placed.and_then(|(ns, number)| Some((ns, table.reported_ns(number)?))) else {
             return true;
         };
-        let fit = |way_ns: i128| self.fit(Heard::Clock, way_ns, table, period_ns).iter().flatten().count();
+        let fit = |way_ns: i128| self.fit(Source::Clock, way_ns, table, period_ns).iter().flatten().count();
         let (way, period) = (at - i128::from(due), i128::from(period_ns));
         let here = fit(way);
         (-AROUND..=AROUND).any(|by| fit(way + i128::from(by) * period) > here)
     }
 
-    /// The triggers of the frames, were the way to what is heard this long.
-    fn fit(&self, heard: Heard, way_ns: i128, table: &TriggerTable, period_ns: u64) -> Numbers {
+    /// The triggers of the frames, if the time from trigger to frame were `way_ns`.
+    fn fit(&self, source: Source, way_ns: i128, table: &TriggerTable, period_ns: u64) -> Numbers {
         let period = i128::from(period_ns);
         let mut taken = i64::MIN;
         let mut fit = |frame: &Early| {
-            let (number, residual) = table.nearest(heard.ns(frame)? - way_ns)?;
+            let (number, residual) = table.nearest(source.ns(frame)? - way_ns)?;
             let due = i128::from(table.reported_ns(number)?);
             let caused = frame.arrived_ns.is_some_and(|ns| ns >= due - period / 8);
             // A third of the pause that the rhythm adds.
@@ -212,7 +213,8 @@ impl Anchoring {
     }
 }
 
-/// How many triggers each id stands for, where that is more than one for all of these frames: count of ids, and trigger.
+/// Triggers from one id to the next, where that is the same number above one for all of these frames (count of ids,
+/// trigger).
 pub fn pace_of(frames: impl Iterator<Item = (i64, i64)>) -> Option<i64> {
     let frames: Vec<(i64, i64)> = frames.collect();
     let steps =

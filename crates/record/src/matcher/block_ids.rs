@@ -30,7 +30,7 @@ impl BlockIds {
         if ahead > CYCLE / 2 { ahead as i64 - CYCLE as i64 } else { ahead as i64 }
     }
 
-    /// Counts from `id` on.
+    /// Makes `id` the one that further steps are counted from.
     pub fn take(&mut self, id: BlockId) {
         self.wide |= id.0 > CYCLE;
         self.last = Some(id.0);

@@ -21,8 +21,8 @@ pub(super) struct Case<'a> {
 }
 
 impl Case<'_> {
-    /// Whether a frame's report may be held up: by its id it is of a trigger behind the last that was reported, and that may
-    /// have been fired when it arrived.
+    /// Whether a frame's report may be held up: by its id it is of a trigger behind the last that was reported, and
+    /// that may have been fired when it arrived.
     pub(super) fn awaits_report(&self, arrived: Option<i128>, period_ns: u64) -> bool {
         let reported = |number| Some((number, self.table.reported_ns(number)?));
         let Some((last, last_ns)) = (0..self.table.end()).rev().take(64).find_map(reported) else {

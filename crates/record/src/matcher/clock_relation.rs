@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What frames themselves teach of the way from trigger to timestamp and to arrival.
 
-/// Share of a residual that the offset takes; the first frames' share is larger.
+/// Share of a residual by which the offset is corrected; that of the first frames is larger.
 const OFFSET_SHARE: f64 = 1.0 / 16.0;
-/// Share of a residual, by the time it took to arise, that the drift takes: slow enough for 200 us of noise.
+/// Share of a residual, per time since the last frame, by which the drift is corrected: slow enough for 200 us of
+/// noise.
 const DRIFT_SHARE: f64 = 1.0 / 1024.0;
-/// No pair of clocks drifts by more.
+/// Largest drift between two clocks that is followed, as a share of the rate.
 const DRIFT_LIMIT: f64 = 600e-6;
 
 /// A camera's clock against the HSU's, from frames whose trigger is known: a second-order tracking loop.
@@ -21,7 +22,7 @@ pub(super) struct Tracker {
 }
 
 impl Tracker {
-    /// Anchored at one frame.
+    /// A relation that passes through one frame, without drift.
     pub(super) fn new(hsu_ns: u64, camera_ns: u64) -> Self {
         Self { hsu_ns: hsu_ns.into(), camera_ns: camera_ns.into(), drift: 0.0, spread_ns: 0.0, frames: 1 }
     }
@@ -72,37 +73,35 @@ pub(super) struct Latency {
     late: usize,
 }
 
-/// Whether the last frames came as soon behind a trigger, of whichever, as the quickest do: where a host takes frames up
-/// at any time, half of them do.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct OnTime(u8);
-
-impl Default for OnTime {
-    fn default() -> Self {
-        Self(u8::MAX)
-    }
+/// Whether the last frames came as soon behind a trigger, of whichever, as the quickest do: where a host takes frames
+/// up at any time, half of them do.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct OnTime {
+    /// A bit for each of the last frames, the newest lowest: set where it was late.
+    late: u8,
 }
 
 impl OnTime {
     pub(super) fn add(&mut self, on_time: bool) {
-        self.0 = self.0 << 1 | u8::from(on_time);
+        self.late = self.late << 1 | u8::from(!on_time);
     }
 
-    /// The last one was, and of those before no more than one was not.
+    /// Whether the last frame was on time, and of those before all but at most one.
     pub(super) fn is_calm(self) -> bool {
-        self.0 & 1 == 1 && self.0.count_zeros() <= 1
+        self.late & 1 == 0 && self.late.count_ones() <= 1
     }
 }
 
 /// How soon after its trigger a frame arrives at the earliest, and how regularly frames do.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Envelope {
-    /// The shortest way that several frames had, ns.
+    /// Shortest time from trigger to arrival that several frames had, ns.
     pub(super) least_ns: i128,
     /// The share of frames that come within a quarter of a period of it.
     pub(super) quick: f64,
-    /// Within three quarters: else arrivals do not tell one trigger from the next.
-    pub(super) tells: bool,
+    /// Whether arrivals distinguish one trigger from the next: enough frames come within three quarters of a period of
+    /// it.
+    pub(super) distinguishes: bool,
 }
 
 /// The share of frames that are alike where arrivals are regular.
@@ -110,10 +109,11 @@ const REGULAR: f64 = 0.875;
 
 impl Latency {
     const KEPT: usize = 32;
-    /// Frames before anything is known.
+    /// Frames from which on the latency is used.
     const ENOUGH: usize = 5;
 
-    /// Learns from a frame whose trigger two witnesses agree on. What stood in a queue teaches nothing, unless all do.
+    /// Learns from a frame whose trigger two witnesses agree on. A frame that waited in a queue is not used, unless all
+    /// wait.
     pub(super) fn follow(&mut self, latency_ns: i128, period_ns: u64) {
         let envelope = self.envelope(period_ns);
         let queued = envelope.is_some_and(|known| latency_ns > known.least_ns + 2 * i128::from(period_ns));
@@ -144,7 +144,8 @@ impl Latency {
         (known.len() >= Self::ENOUGH).then(|| Envelope {
             least_ns: least.into(),
             quick,
-            tells: quick >= REGULAR || (known.len() >= 8 && (within(3) >= REGULAR || within(2) >= 0.625)),
+            distinguishes: quick >= REGULAR
+                || (known.len() >= 8 && (within(3) >= REGULAR || within(2) >= 0.625)),
         })
     }
 }

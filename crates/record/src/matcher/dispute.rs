@@ -4,7 +4,7 @@
 //! Counter and clock are two accounts of what the camera did. Each gives every frame a trigger, the frames behind
 //! included. The arrival decides between them, and only in one direction: nothing arrives before its trigger was fired.
 //! So the account that gives the **later** triggers is refuted by one frame that arrives too early for it. It is
-//! believed where so many frames arrive just in time for it that a host which stands still cannot explain them. Where
+//! accepted where more frames arrive just in time for it than a host that stood still can explain. Where
 //! neither happens, the frame is given up.
 
 use super::sighting::{Finding, Match, Sighting};
@@ -12,22 +12,22 @@ use super::{Case, Matcher};
 use crate::matcher::clock_relation::Tracker;
 use std::cmp::Ordering;
 
-/// Without timestamps, so many frames must be looked at behind a contradiction.
+/// Frames that must be considered behind a contradiction, for a camera without timestamps.
 const COUNTED: usize = 8;
-/// So many frames must be in time for the account that gives the later triggers.
+/// Frames that must be in time for the account that gives the later triggers.
 pub(super) const IN_TIME: usize = 3;
-/// Of the frames that should be in time, so many must be.
+/// Share of the frames expected in time that must be in time.
 const IN_TIME_SHARE: f64 = 0.75;
-/// No host takes up more frames at once than this share.
+/// Upper bound of the share of frames that a host takes up at once, so that no probability becomes zero.
 const MOST_QUICK: f64 = 0.98;
-/// So unlikely it must be that a host took up none of the frames at once.
+/// Probability below which it is excluded that a host took up none of the frames at once.
 const CHANCE: f64 = 1e-5;
-/// So many must be in time behind frames that were lost.
+/// Frames that must be in time behind frames that were lost.
 const IN_TIME_AGREED: usize = 2;
-/// So many frames behind one must stand alike; with no more to come, one.
+/// Frames behind one that must agree with each other; with no more to come, one is enough.
 const ALIKE: usize = 2;
 
-/// What counter and clock give a frame.
+/// The triggers that counter and clock give a frame.
 #[derive(Clone, Copy)]
 struct Claim<'a> {
     frame: &'a Sighting,
@@ -48,7 +48,7 @@ pub(super) enum Timing {
     InTime,
     /// Later than they, but not by a period.
     Slow,
-    /// By a period or more: that says nothing of which trigger it is.
+    /// By a period or more: that is no evidence of which trigger it is of.
     Late,
     /// How soon frames come, or when the trigger was fired, is not known.
     Unknown,
@@ -61,7 +61,7 @@ pub(super) struct Arrivals {
     pub(super) in_time: usize,
     /// In time, or not a period later.
     pub(super) soon: usize,
-    /// Frames of which the arrival says something or nothing.
+    /// All frames, those of unknown timing included.
     pub(super) frames: usize,
 }
 
@@ -75,8 +75,8 @@ impl Matcher {
             return Timing::Early;
         }
         let period_ns = i128::from(self.start.period_ns);
-        let tells = self.envelope().is_some_and(|known| known.tells);
-        match self.late_ns(frame, due, case.hsu).filter(|_| tells) {
+        let distinct = self.envelope().is_some_and(|known| known.distinguishes);
+        match self.late_ns(frame, due, case.hsu).filter(|_| distinct) {
             Some(ns) if ns < -period_ns / 4 => Timing::Early,
             Some(ns) if ns.abs() <= period_ns / 4 => Timing::InTime,
             Some(ns) if ns <= period_ns * 3 / 4 => Timing::Slow,
@@ -118,7 +118,7 @@ impl Matcher {
             .followers
             .iter()
             .map_while(|frame| {
-                // Ids that do not go on end what they say of this one.
+                // Behind an id that does not increase, ids are no evidence for this frame.
                 let steps = self.ids.between(case.frame.id.0, frame.id.0);
                 let by_id = case
                     .by_id
@@ -147,8 +147,8 @@ impl Matcher {
         Claim { frame, by_id, by_clock: exposed.and_then(at), exposed }
     }
 
-    /// Counter and clock name the same trigger. A frame that comes late waits for one behind it that does not: as long as
-    /// the frames behind stand as it does, they are of one piece with it.
+    /// Counter and clock name the same trigger. A frame that comes late waits for one behind it that does not: as long
+    /// as the frames behind stand as it does, they are of one piece with it.
     fn agreed(&mut self, case: &Case<'_>, own: &Claim<'_>, behind: &[Claim<'_>]) -> Match {
         let number = own.by_id;
         if !self.is_fresh(number) {
@@ -165,7 +165,7 @@ impl Matcher {
             return self.give_up(case.frame);
         }
         let doubtful = self.unsettled || self.last.is_some_and(|last| number > last.number + 1);
-        let tells = self.envelope().is_some_and(|known| known.tells);
+        let distinct = self.envelope().is_some_and(|known| known.distinguishes);
         // In a doubtful time no loss may lie between it and those that are in time.
         let arrivals = match doubtful {
             true => {
@@ -174,11 +174,11 @@ impl Matcher {
             }
             false => arrivals,
         };
-        // Where arrivals do not tell triggers apart, two witnesses must do.
+        // Where arrivals do not distinguish triggers, two witnesses suffice.
         let before = self.last.is_some_and(|last| last.in_time && number == last.number + 1);
         // What the rhythm lets expect is no trigger that was reported: one may have been held.
         let known = !doubtful || !(case.table.is_bridged(number) || case.table.is_expected(number));
-        let enough = match doubtful && tells {
+        let enough = match doubtful && distinct {
             _ if !known => false,
             true if self.unsettled => {
                 let in_time = arrivals.in_time + usize::from(before);
@@ -186,7 +186,7 @@ impl Matcher {
                 soon > IN_TIME && in_time >= IN_TIME_AGREED
             }
             true => arrivals.soon + usize::from(before) >= IN_TIME_AGREED,
-            false => arrivals.soon > 0 || !(tells || self.unsettled),
+            false => arrivals.soon > 0 || !(distinct || self.unsettled),
         };
         if enough && !self.is_shifted(case, chain()) {
             return self.accept(case, number, None);
@@ -206,7 +206,7 @@ impl Matcher {
     }
 
     /// Whether frames that came one by one, and not out of a queue, were all of them late, on a host that took up those
-    /// before as soon as they came: no host stands still for so long.
+    /// before as soon as they came: no host stands still for that long.
     fn stays_late<'a>(&self, chain: impl Iterator<Item = (&'a Sighting, i64)>) -> bool {
         let mut before = None;
         let one_by_one = chain.filter(|(frame, _)| {
@@ -216,8 +216,8 @@ impl Matcher {
         self.on_time.is_calm() && one_by_one.count() >= IN_TIME
     }
 
-    /// Whether the frames before the next that are missing are late by whole periods, all alike: that is no host that stood
-    /// still, but triggers that are miscounted.
+    /// Whether the frames before the next that are missing are late by whole periods, all alike: that is no host that
+    /// stood still, but triggers that are miscounted.
     fn is_shifted<'a>(&self, case: &Case<'_>, chain: impl Iterator<Item = (&'a Sighting, i64)>) -> bool {
         let period_ns = i128::from(self.start.period_ns);
         let mut expected = None;
@@ -246,7 +246,7 @@ impl Matcher {
 
     /// Counter and clock name different triggers, or the clock names none.
     fn disputed(&mut self, case: &Case<'_>, own: &Claim<'_>, behind: &[Claim<'_>]) -> Match {
-        // One that takes every second trigger does so again, and a busy host says nothing against it.
+        // A camera that takes every second trigger does so again, and a late arrival is no evidence against it.
         let again = |(last, number): (super::Last, i64)| self.pace == Some(number - last.number);
         if let Some(number) = own.by_clock
             && self.last.zip(own.by_clock).is_some_and(again)
@@ -261,8 +261,8 @@ impl Matcher {
                 return answer;
             }
         }
-        // Whether the clock gives the frames behind later triggers than their ids, earlier ones or the same: as far as they
-        // agree with the first of them.
+        // Whether the clock gives the frames behind later triggers than their ids, earlier ones or the same: as far as
+        // they agree with the first of them.
         let sides = || behind.iter().filter_map(|claim| Some(claim.by_clock?.cmp(&claim.by_id)));
         let side = sides().next();
         let alike = sides().take_while(|other| Some(*other) == side).count();
@@ -306,9 +306,10 @@ impl Matcher {
             let enclosed = self.last.is_some_and(|last| own.by_id == last.number + 1)
                 && settled.by_id == own.by_id.saturating_add(1)
                 && arrivals.frames >= ALIKE;
+            let by_clock = || own.by_clock.is_some_and(|n| self.timing(case, own.frame, n) == Timing::InTime);
             return match self.timing(case, own.frame, own.by_id) {
                 Timing::Early => Some(self.pass_over(case.frame)),
-                Timing::Late if self.is_in_time_by_clock(case, own) => Some(self.pass_over(case.frame)),
+                Timing::Late if by_clock() => Some(self.pass_over(case.frame)),
                 timing if enclosed || timing == Timing::InTime => {
                     let residual = own.exposed.zip(case.table.time_ns(own.by_id));
                     let residual = residual.map(|(ns, due)| ns - i128::from(due));
@@ -326,11 +327,6 @@ impl Matcher {
             Some(number) => Some(self.accept(case, number, None)),
             None => Some(self.pass_over(case.frame)),
         }
-    }
-
-    /// Its clock and its arrival agree on another trigger than its id's.
-    fn is_in_time_by_clock(&self, case: &Case<'_>, own: &Claim<'_>) -> bool {
-        own.by_clock.is_some_and(|number| self.timing(case, own.frame, number) == Timing::InTime)
     }
 
     /// The clock gives the frames behind other triggers than their ids, all of them later ones or all earlier ones.
@@ -402,7 +398,7 @@ impl Matcher {
             .then(|| self.clock_was_set(case, own))
     }
 
-    /// Ids go on, the clock does not: its relation is learned anew from here.
+    /// Ids go on, the clock does not: its relation is learned again from here.
     fn clock_was_set(&mut self, case: &Case<'_>, own: &Claim<'_>) -> Match {
         let (Some(camera_ns), Some(due)) = (case.frame.camera_ns, case.table.reported_ns(own.by_id)) else {
             return self.give_up(case.frame);
@@ -419,18 +415,19 @@ impl Matcher {
         Match::Trigger(self.place(case.frame, own.by_id, Some(Finding::ClockReset(residual))))
     }
 
-    /// A camera without timestamps: its counter and the arrivals are the witnesses. A frame that is late may be of a later
-    /// trigger, if the camera ignored some; of one that is early, ids have jumped.
+    /// A camera without timestamps: its counter and the arrivals are the witnesses. A frame that is late may be of a
+    /// later trigger, if the camera ignored some; of one that is early, ids have jumped.
     pub(super) fn by_counter_and_arrival(&mut self, case: &Case<'_>) -> Match {
         let mut before = 0;
         let behind = case.followers.iter().map_while(|frame| {
-            // Ids that do not go on end what they say of this one.
+            // Behind an id that does not increase, ids are no evidence for this frame.
             let steps = self.ids.between(case.frame.id.0, frame.id.0);
             let goes_on = steps > std::mem::replace(&mut before, steps);
             Some((frame, case.by_id.checked_add(steps).filter(|_| goes_on)?))
         });
         let in_time = self.timing(case, case.frame, case.by_id) == Timing::InTime;
-        // After a contradiction that nothing resolved, an extra frame between two triggers must not pass for the next one's.
+        // After a contradiction that nothing resolved, an extra frame between two triggers must not pass for the next
+        // one's.
         let due = case.table.time_ns(case.by_id);
         let late = due.and_then(|due| self.late_ns(case.frame, due, case.hsu));
         let near = !self.unsettled || late.is_some_and(|ns| ns.abs() <= i128::from(self.start.period_ns / 8));
@@ -453,8 +450,8 @@ impl Matcher {
         }
     }
 
-    /// Whether arrivals speak for the triggers that they were held against: as many frames are in time as there should be,
-    /// and it cannot be that all of them are late ones of earlier triggers.
+    /// Whether arrivals confirm the triggers that they were compared with: as many frames are in time as there should
+    /// be, and it cannot be that all of them are late ones of earlier triggers.
     pub(super) fn convince(&self, arrivals: Arrivals) -> bool {
         self.envelope().is_some_and(|known| {
             let frames = arrivals.frames as f64;

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which trigger a frame belongs to, by sources that do not know of each other.
 //!
-//! * The **counter**, block ids, counts what the camera sent: one that ignored a trigger does not skip an id, so a frame is
-//!   of the trigger that its id points at or of a later one. Where ids begin is known, because an armed stream is silent
-//!   until the train starts ([`anchor`]).
+//! * The **counter**, block ids, counts what the camera sent: one that ignored a trigger does not skip an id, so a
+//!   frame is of the trigger that its id points at or of a later one. Where ids begin is known, because an armed stream
+//!   is silent until the train starts ([`anchor`]).
 //! * The camera's **clock**, timestamps and readings alike, names the trigger by its time. How long after a trigger a
 //!   camera stamps is measured with the first frames.
 //! * The **host's clock**, the arrival: nothing arrives before its trigger was fired, nor sooner behind it than the
-//!   quickest frames. A late arrival says nothing: a host may stand still.
+//!   quickest frames. A late arrival is no evidence: a host may stand still.
 //! * The **HSU's table** has a rhythm of its own ([`trigger_table`]).
 //!
 //! A frame is filed where two of the first three agree on a trigger and the third does not refute it. Where counter and
@@ -35,19 +35,20 @@ use clock_relation::{Envelope, Latency, OnTime, Tracker};
 use reading::{CameraClock, LATE_PERIODS};
 use trigger_table::TriggerTable;
 
-/// Behind a frame that no rhythm places so many are waited for.
+/// Frames that must have arrived behind one that no rhythm places, before the habits of cameras alike are used for it.
 const LIKE_FOLLOWERS: usize = 5;
-/// So many frames given up in a row mean that what is known of ids and clock is wrong.
+/// Frames given up in a row after which the relation of ids and clock to triggers is taken to be wrong, and sought
+/// again.
 const GIVEN_UP_MAX: u32 = 8;
 
 /// What is known before a camera's first frame.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Start {
-    /// Trigger period, ns.
+    /// Nominal time from trigger to trigger, ns.
     pub period_ns: u64,
     /// Triggers of the warm-up: the first trigger has this number, negative.
     pub warm_up: u32,
-    /// The HSU's clock minus the host's, ns, where exchanges before the session said so.
+    /// The HSU's clock minus the host's, ns, where it was measured by exchanges before the session.
     pub hsu_minus_host_ns: Option<i128>,
 }
 
@@ -63,22 +64,26 @@ pub struct Habits {
 struct Last {
     number: i64,
     camera_ns: Option<u64>,
-    /// It arrived as soon as the quickest.
+    /// Whether it arrived as soon behind its trigger as the quickest frames do.
     in_time: bool,
 }
 
 /// How far a stream's identity is known.
 #[derive(Debug)]
 enum Stage {
-    /// The train is about to begin, or in its warm-up; the last frame came so many ids after the first.
+    /// The train is about to begin, or in its warm-up. The number is how many ids the last frame came after the first.
     Beginning(Anchoring, Option<i64>),
     /// Ids count from a known trigger.
     Known,
-    /// The camera is back, or nothing fitted any more.
-    Lost(rejoin::Rejoin),
+    /// The camera is back, or nothing fitted any more; with its clock's relation from before.
+    Lost(Option<Tracker>),
 }
 
-/// Matches the frames of one camera, in the order in which they arrive.
+/// Matches the frames of one camera to triggers, in the order in which they arrive.
+///
+/// The recorder's accounting makes one for each camera when a session is prepared, and owns it until the session ends.
+/// It promises that a frame gets a trigger only where two independent sources agree on it; all others are given up. It
+/// is never replaced during a session: a camera that comes back calls [`Self::restart`].
 #[derive(Debug)]
 pub struct Matcher {
     start: Start,
@@ -88,31 +93,32 @@ pub struct Matcher {
     latency: Latency,
     on_time: OnTime,
     ids: BlockIds,
-    /// The trigger that the last id taken stands for.
+    /// The trigger of the last id that was taken.
     base: i64,
     /// Ids skipped before frames that were not recorded.
     lost_before: u64,
     last: Option<Last>,
     given_up: u32,
-    /// Counter and clock contradicted each other, and nothing told which was right: that they agree again proves nothing.
+    /// Counter and clock contradicted each other, and nothing decided which was right: agreement afterwards proves
+    /// nothing.
     unsettled: bool,
     /// The first id of the stream with which the session began.
     first_id: Option<BlockId>,
-    /// What cameras like this one take from a trigger, until it is measured.
+    /// Habits of a camera like this one, used until its own are measured.
     like: Option<Habits>,
-    /// The camera took every so manieth trigger, as far as the last two tell.
+    /// Triggers from one frame to the next, where that is more than one, by the last two frames.
     pace: Option<i64>,
     /// The trigger that a given-up frame's arrival named.
     arrived: Option<(BlockId, i64)>,
 }
 
 impl Matcher {
-    /// Of the frames behind the one in question, so many are looked at: more than come in one burst.
+    /// Frames behind the one in question that are considered, at most: more than arrive in one burst.
     pub const FOLLOWERS: usize = 48;
-    /// In the warm-up so many.
+    /// The same in the warm-up, whose rhythm is in the first frames.
     const FIRST_FOLLOWERS: usize = 16;
 
-    /// Before the session.
+    /// A matcher of one camera before its first frame.
     pub fn new(start: Start) -> Self {
         let period_ns = start.period_ns.max(16);
         Self {
@@ -135,31 +141,32 @@ impl Matcher {
         }
     }
 
-    /// Takes an exchange with the camera's clock into account. What it says of a clock that was set anew is believed
-    /// of frames that are in doubt.
+    /// Takes an exchange with the camera's clock into account. Where it shows that the clock was set, that counts for
+    /// frames that are in doubt.
     pub fn clock_sample(&mut self, exchange: &Exchange) -> Judged {
         self.clock.exchange(exchange)
     }
 
-    /// Whether a frame waits for a reading of the camera's clock, since it was asked last.
+    /// Whether a frame has begun to wait for a reading of the camera's clock since the last call.
     pub fn takes_clock_wish(&mut self) -> bool {
         self.clock.takes_wish()
     }
 
     /// How long this camera takes, where that is measured.
     pub fn habits(&self) -> Option<Habits> {
-        let known = matches!(self.stage, Stage::Known) && self.like.is_none() && self.envelope()?.tells;
-        let stamp_delay_ns = self.clock.stamp_delay_ns().filter(|_| known)?;
+        let known =
+            matches!(self.stage, Stage::Known) && self.like.is_none() && self.envelope()?.distinguishes;
+        let stamp_delay_ns = self.clock.stamp_delay_ns.filter(|_| known)?;
         Some(Habits { stamp_delay_ns, latency: self.latency })
     }
 
-    /// Whether it is still looked for how long this camera takes.
+    /// Whether the time that this camera takes is still to be found.
     pub fn wants_habits(&self) -> bool {
         matches!(self.stage, Stage::Beginning(..)) && self.like.is_none()
     }
 
-    /// What another camera of the same head or make takes: a camera that slept through the warm-up is placed by it, where
-    /// its clock and its arrivals both bear it out.
+    /// Sets the habits of another camera of the same head or make: a camera that slept through the warm-up is placed by
+    /// it, where its clock and its arrivals both bear it out.
     pub fn presume(&mut self, like: Habits) {
         self.like = Some(like);
     }
@@ -169,21 +176,22 @@ impl Matcher {
         &self.clock.fit
     }
 
-    /// The camera is back with a fresh stream: ids begin anew, its clock may have been set. How long it takes to stamp
-    /// a frame and to send it stays.
+    /// The camera is back with a fresh stream: ids begin again, its clock may have been set. The times that it takes
+    /// to stamp and to send a frame are kept.
     pub fn restart(&mut self, train_began: bool) {
         self.clock.restart();
         self.ids = BlockIds::default();
         self.lost_before = 0;
         self.stage = match train_began {
-            true => Stage::Lost(rejoin::Rejoin { before: self.tracker.take() }),
+            true => Stage::Lost(self.tracker.take()),
             false => Stage::Beginning(Anchoring::default(), None),
         };
         (self.given_up, self.arrived, self.unsettled, self.first_id) = (0, None, false, None);
         self.last = self.last.map(|last| Last { camera_ns: None, in_time: false, ..last });
     }
 
-    /// What a frame says of its trigger by itself: the number by its id, and the time (HSU clock, ns) by its timestamp.
+    /// What a frame by itself shows of its trigger: the number by its id, and the time (HSU clock, ns) by its
+    /// timestamp.
     pub fn claim(&self, frame: &Sighting) -> Option<(i64, i128)> {
         let known = matches!(self.stage, Stage::Known) && frame.complete;
         let camera_ns = frame.camera_ns.filter(|_| known)?;
@@ -226,7 +234,7 @@ impl Matcher {
         {
             return answer;
         }
-        // Nothing that arrives was triggered later: so far the train is known even where its reports are held up.
+        // What has arrived was triggered before: up to then the train is known even where its reports are held up.
         let now_ns = self.arrived_ns(frame.host_ns, hsu).filter(|_| last_call);
         let period_ns = self.start.period_ns;
         let table = now_ns.map_or(table.reported(), |now| table.expected_until(now, period_ns));
@@ -241,14 +249,14 @@ impl Matcher {
         let answer = if frame.complete { self.whole(&case) } else { self.torn(&case) };
         let unreported = || case.awaits_report(self.arrived_ns(frame.host_ns, hsu), period_ns);
         if answer == Match::Undecided && unreported() {
-            // For want of reports: that says nothing against ids and clock.
+            // Reports are missing: that is no evidence against ids and clock.
             (self.given_up, self.unsettled) = before;
         }
         self.note_arrival(&case, answer);
-        // Without timestamps nothing could find the place again, but ids go on: once frames are in time for them, they are
-        // right.
+        // Without timestamps nothing could find the place again, but ids go on: once frames are in time for them, they
+        // are right.
         if answer == Match::Undecided && self.given_up >= GIVEN_UP_MAX && self.tracker.is_some() {
-            self.stage = Stage::Lost(rejoin::Rejoin { before: self.tracker.take() });
+            self.stage = Stage::Lost(self.tracker.take());
         }
         answer
     }
@@ -262,7 +270,8 @@ impl Matcher {
         }
     }
 
-    /// A frame of a stream whose place in the train is not settled yet; `None` once it is, by the frames before this one.
+    /// A frame of a stream whose place in the train is not settled yet; `None` once it is, by the frames before this
+    /// one.
     fn begin(
         &mut self,
         frame: &Sighting,
@@ -318,10 +327,10 @@ impl Matcher {
             self.first_id.get_or_insert(frame.id);
             return Some(self.settle(frame, number, &with, &numbers, table));
         }
-        let told = (first..=0).all(|number| table.reported_ns(number).is_some());
+        let reported = (first..=0).all(|number| table.reported_ns(number).is_some());
         let silent = first.saturating_add(next);
         // Without a rhythm the silence before the train is the only witness.
-        let mute = told && silent >= 0 && !table.has_rhythm(first, period_ns);
+        let mute = reported && silent >= 0 && !table.has_rhythm(first, period_ns);
         if mute && frame.complete && table.reported_ns(silent).is_some_and(|due| !before(due)) {
             let numbers: Vec<Option<i64>> =
                 with_this.frames().iter().map(|frame| first.checked_add(frame.count)).collect();
@@ -333,12 +342,12 @@ impl Matcher {
         }
         // Frames that may be the session's wait for those behind them. The rhythm is over once they are no more of the
         // warm-up: then what cameras alike take from a trigger must do.
-        let unheard = !of_warm_up && told && followers.len() >= LIKE_FOLLOWERS;
-        if unheard && let Some(like) = self.like {
+        let unplaced = !of_warm_up && reported && followers.len() >= LIKE_FOLLOWERS;
+        if unplaced && let Some(like) = self.like {
             self.first_id.get_or_insert(frame.id);
-            self.clock.presume(like.stamp_delay_ns);
+            self.clock.stamp_delay_ns = Some(like.stamp_delay_ns);
             self.latency = like.latency;
-            self.stage = Stage::Lost(rejoin::Rejoin { before: None });
+            self.stage = Stage::Lost(None);
             return None;
         }
         if !of_warm_up && !last_call {
@@ -346,7 +355,7 @@ impl Matcher {
         }
         self.first_id.get_or_insert(frame.id);
         self.ids.take(frame.id);
-        // The rhythm is over, and all of it is reported: what it does not tell now is not to be known any more.
+        // The rhythm is over, and all of it is reported: what it does not show now cannot be known any more.
         let last = match followers.last().filter(|_| frame.complete) {
             Some(last) => self.arrived_ns(last.host_ns, hsu),
             None => with_this.last().and_then(|last| last.arrived_ns),
@@ -354,8 +363,8 @@ impl Matcher {
         let all = last
             .zip(table.latest_ns())
             .is_some_and(|(ns, latest)| ns <= i128::from(latest) + i128::from(period_ns * 9 / 8));
-        self.stage = match told && all && silent > 2 * warm_up {
-            true => Stage::Lost(rejoin::Rejoin { before: None }),
+        self.stage = match reported && all && silent > 2 * warm_up {
+            true => Stage::Lost(None),
             false => Stage::Beginning(with_this, Some(next)),
         };
         if !of_warm_up {
@@ -416,7 +425,7 @@ impl Matcher {
         }
     }
 
-    /// Parts of a frame: no pixels are recorded of it, and its id says which frame is missing.
+    /// Parts of a frame: no pixels are recorded of it, and its id shows which frame is missing.
     fn torn(&mut self, case: &Case<'_>) -> Match {
         let Some(due) = case.table.time_ns(case.by_id) else {
             let ahead = self.arrived_ns(case.frame.host_ns, case.hsu).zip(case.table.latest_ns());
@@ -446,16 +455,11 @@ impl Matcher {
         self.last.is_none_or(|last| number > last.number)
     }
 
-    /// What the residuals of an unchanged clock do not exceed, ns.
+    /// Bound of the residuals of a clock that was not set, ns.
     fn near_ns(&self) -> i128 {
         let period_ns = i128::from(self.start.period_ns);
         let spread = self.tracker.map_or(0.0, |tracker| tracker.spread_ns);
         (period_ns / 16).max((spread * 6.0) as i128).min(period_ns / 4)
-    }
-
-    /// Whether a reading of the camera's clock is still to be had for this frame; if so it is asked for.
-    fn awaits_reading(&mut self, case: &Case<'_>) -> bool {
-        !case.last_call && self.clock.awaits(case.frame, case.hsu)
     }
 
     /// The reported trigger of a timestamp by readings of the camera's clock, if the frame can have come from there.
@@ -491,19 +495,12 @@ impl Matcher {
         self.arrived_ns(frame.host_ns, hsu).is_some_and(|arrived| arrived + slack < due.into())
     }
 
-    /// The same frame once more, or one from before the last.
+    /// Whether it is the same frame again, or one from before the last.
     fn is_repeated(&self, frame: &Sighting, step: Option<i64>) -> bool {
         let Some((last, step)) = self.last.zip(step) else { return false };
         match frame.camera_ns.zip(last.camera_ns) {
             Some((now, before)) => (step == 0 && now == before) || (step < 0 && now < before),
             None => step <= 0,
-        }
-    }
-
-    /// How late a frame of the trigger at `due`, HSU time, arrived.
-    fn learn_latency(&mut self, case: &Case<'_>, due: u64) {
-        if let Some(arrived) = self.arrived_ns(case.frame.host_ns, case.hsu) {
-            self.latency.follow(arrived - i128::from(due), self.start.period_ns);
         }
     }
 
@@ -516,7 +513,9 @@ impl Matcher {
                 Tracker::learn(&mut self.tracker, due, camera_ns);
                 self.clock.learn(due, frame);
             }
-            self.learn_latency(case, due);
+            if let Some(arrived) = self.arrived_ns(frame.host_ns, case.hsu) {
+                self.latency.follow(arrived - i128::from(due), self.start.period_ns);
+            }
         }
         let in_time = self.timing(case, frame, number) == dispute::Timing::InTime;
         let matched = self.place(frame, number, finding);
@@ -532,8 +531,8 @@ impl Matcher {
         let skipped = self.last.map_or(number.max(0), |last| (number - last.number - 1).max(0)) as u64;
         let (mut lost, mut ignored, mut finding) = (skipped, 0, finding);
         if let Some(first) = self.first_id.filter(|_| self.last.is_none()) {
-            // What the stream's ids do not count before its first frame that has a trigger, the camera ignored; not what came
-            // and was given up.
+            // What the stream's ids do not count before its first frame that has a trigger, the camera ignored; not
+            // what came and was given up.
             let before = number.saturating_add(self.start.warm_up.into());
             let uncounted = before.saturating_sub(self.ids.between(first.0, frame.id.0));
             let without_frame = skipped.saturating_sub(self.given_up.into());
@@ -572,13 +571,13 @@ impl Matcher {
         Match::Spurious(i64::try_from(residual).unwrap_or(i64::MAX))
     }
 
-    /// Given up: what it was is not to be known. Ids count on from the last frame that has a trigger.
+    /// Gives a frame up: its trigger cannot be known. Ids count on from the last frame that has a trigger.
     fn give_up(&mut self, frame: &Sighting) -> Match {
         self.unsettled = true;
         self.pass_over(frame)
     }
 
-    /// As [`Self::give_up`], of a frame that is wrong alone: those behind it stand as those before.
+    /// As [`Self::give_up`], for a frame that alone is wrong: those behind it agree with those before.
     fn pass_over(&mut self, frame: &Sighting) -> Match {
         self.given_up = self.given_up.saturating_add(1);
         if let Some(last) = self.last.as_mut() {

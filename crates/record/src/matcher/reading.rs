@@ -1,20 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A camera's clock, read when its frames are in doubt: the witness that knows what was done to it.
 //!
-//! Ids and timestamps show that something changed, not what. Arrivals tell triggers apart only where the host takes
-//! packets up at once, and Aravis does so every 5 ms where few come. A reading that is asked for after a frame has come
-//! tells whether the camera's clock runs as before: then its timestamp is right, and if not, the reading says how it
-//! runs now.
+//! Ids and timestamps show that something changed, not what. Arrivals distinguish triggers only where the host takes
+//! packets up at once, and Aravis does so every 5 ms where few come. A reading that is requested after a frame has come
+//! shows whether the camera's clock runs as before: then its timestamp is right; if not, the reading shows how it runs
+//! now.
 
 use super::sighting::Sighting;
 use crate::base::clock_fit::{ClockFit, Exchange, Judged};
 
 /// No frame that is placed by readings arrives later after its trigger, periods.
 pub(super) const LATE_PERIODS: u64 = 8;
-/// So long after a frame has come its camera's clock is read for it, ns.
+/// Time after a frame's arrival during which its camera's clock is read for it, ns.
 const PATIENCE_NS: u64 = 50_000_000;
-/// A reading is there so soon after the frame that it was asked for, ns, and the frames that this one waited for, periods.
+/// Time within which a reading that a frame requested has been made, ns.
 const PROMPT_NS: u64 = 25_000_000;
+/// Periods that a frame waits for the frames before it.
 const PROMPT_PERIODS: u64 = 4;
 /// Frames that the way to the timestamp is measured by.
 const MEASURED: usize = 4;
@@ -25,22 +26,23 @@ pub(super) struct CameraClock {
     pub(super) fit: ClockFit,
     period_ns: u64,
     /// From a trigger to its frame's timestamp, ns, by the fit: measured once.
-    stamp_delay_ns: Option<i128>,
+    pub(super) stamp_delay_ns: Option<i128>,
     /// Frames to measure it by, once the clock has been read behind them: their triggers' times and themselves.
     to_measure: Vec<(u64, Sighting)>,
-    /// When the last exchange was asked for that agrees with the fit, host clock, ns.
+    /// When the last exchange that agrees with the fit was requested, host clock, ns.
     read_ns: Option<u64>,
-    /// From when on the fit holds, and when the clock was set last, host clock, ns.
+    /// From when on the fit holds, host clock, ns.
     holds_from_ns: u64,
+    /// When the clock was set last, host clock, ns.
     set_ns: u64,
     /// Whether it can be read, as far as is known.
     answers: bool,
-    /// It should be read now.
+    /// Whether it should be read now.
     wanted: bool,
 }
 
 impl CameraClock {
-    /// Before the first reading.
+    /// A clock of which there is no reading yet.
     pub(super) fn new(period_ns: u64) -> Self {
         Self {
             fit: ClockFit::new(),
@@ -55,7 +57,7 @@ impl CameraClock {
         }
     }
 
-    /// A reading is there.
+    /// Takes a reading of the clock into account.
     pub(super) fn exchange(&mut self, exchange: &Exchange) -> Judged {
         let ready = self.fit.is_ready();
         let judged = self.fit.exchange(exchange);
@@ -65,8 +67,8 @@ impl CameraClock {
             Judged::Reset { step_ns } => {
                 self.to_measure.clear();
                 self.set_ns = exchange.host_receive_ns;
-                // Set by much, a stamp from before cannot be taken for one from behind. Of frames from long before the reading
-                // that is not enough: the clock may have been set twice since.
+                // Set by much, a stamp from before cannot be taken for one from behind. Of frames from long before the
+                // reading that is not enough: the clock may have been set twice since.
                 let far = step_ns.unsigned_abs() > u128::from((LATE_PERIODS + 1) * self.period_ns);
                 let before =
                     if far { (LATE_PERIODS + PROMPT_PERIODS) * self.period_ns + PROMPT_NS } else { 0 };
@@ -92,28 +94,18 @@ impl CameraClock {
         self.to_measure.clear();
     }
 
-    /// From a trigger to its frame's timestamp, ns, where it is measured.
-    pub(super) fn stamp_delay_ns(&self) -> Option<i128> {
-        self.stamp_delay_ns
-    }
-
-    /// It is taken to be that of a camera like this one.
-    pub(super) fn presume(&mut self, stamp_delay_ns: i128) {
-        self.stamp_delay_ns = Some(stamp_delay_ns);
-    }
-
-    /// Asks for a reading.
+    /// Requests a reading, if the clock answers.
     pub(super) fn ask(&mut self) {
         self.wanted = self.answers;
     }
 
-    /// Whether a reading was asked for since this was asked last.
+    /// Whether a reading was requested since the last call.
     pub(super) fn takes_wish(&mut self) -> bool {
         std::mem::take(&mut self.wanted)
     }
 
-    /// Whether readings tell triggers apart: it answers, and the way to the timestamp is measured.
-    pub(super) fn tells(&self) -> bool {
+    /// Whether readings distinguish triggers: the clock answers, and the delay to the timestamp is measured.
+    pub(super) fn distinguishes(&self) -> bool {
         self.answers && self.stamp_delay_ns.is_some()
     }
 
@@ -130,7 +122,7 @@ impl CameraClock {
 
     /// Measures the way from trigger to timestamp: by frames on both sides of which the clock was read, and ran on.
     pub(super) fn measure(&mut self, hsu: &ClockFit) {
-        let read = |frame: &Sighting| self.read_ns.is_some_and(|asked| asked > frame.host_ns);
+        let read = |frame: &Sighting| self.read_ns.is_some_and(|requested| requested > frame.host_ns);
         if self.to_measure.len() < MEASURED || !self.to_measure.iter().all(|(_, frame)| read(frame)) {
             return;
         }
@@ -155,25 +147,26 @@ impl CameraClock {
         Some(self.stamped_ns(frame.camera_ns?, hsu)? - self.stamp_delay_ns?)
     }
 
-    /// The same by readings that were asked for after the frame had come: whatever was done to the clock before, they
-    /// know of it.
+    /// The same by readings that were requested after the frame had come: they include whatever was done to the clock
+    /// before.
     pub(super) fn read_fired_ns(&self, frame: &Sighting, hsu: &ClockFit) -> Option<i128> {
-        let read = self.read_ns.is_some_and(|asked| asked > frame.host_ns);
+        let read = self.read_ns.is_some_and(|requested| requested > frame.host_ns);
         if read && self.holds(frame) { self.fired_ns(frame, hsu) } else { None }
     }
 
-    /// Whether the clock ran since before this frame as it does now, or was set by so much that the stamp would show it.
+    /// Whether the clock ran since before this frame as it does now, or was set by so much that the stamp would show
+    /// it.
     fn holds(&self, frame: &Sighting) -> bool {
         self.holds_from_ns.saturating_add(LATE_PERIODS * self.period_ns) <= frame.host_ns
     }
 
-    /// Whether a reading is still to be had for this frame; if so it is asked for.
+    /// Whether a reading for this frame is still to come; if so it is requested.
     pub(super) fn awaits(&mut self, frame: &Sighting, hsu: &ClockFit) -> bool {
-        let after = |ns: u64| self.read_ns.is_some_and(|asked| asked > ns);
-        // Once more where the first ones took too long to tell triggers apart, but not for ever.
+        let after = |ns: u64| self.read_ns.is_some_and(|requested| requested > ns);
+        // Again where the first readings took too long to distinguish triggers, but only for a while.
         let no_more = after(frame.host_ns.saturating_add(PATIENCE_NS)) || !self.holds(frame);
-        let told = after(frame.host_ns) && (no_more || self.read_fired_ns(frame, hsu).is_some());
-        let awaited = self.tells() && frame.camera_ns.is_some() && !told;
+        let done = after(frame.host_ns) && (no_more || self.read_fired_ns(frame, hsu).is_some());
+        let awaited = self.distinguishes() && frame.camera_ns.is_some() && !done;
         self.wanted |= awaited;
         awaited
     }

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The trigger of the first frame of a stream that begins while the train runs: a camera that is back, or one whose place
-//! was lost.
+//! The trigger of the first frame of a stream that begins while the train runs: a camera that is back, or one whose
+//! place was lost.
 //!
-//! Its ids say nothing yet. Its clock, read behind the frame, names a trigger, since what its stamps take from one was
-//! measured when the train began; of a clock that cannot be read, its relation from before must do. The arrivals of this
-//! frame and of those behind it must say the same. One of the two alone is not enough.
+//! Its ids are no evidence yet. Its clock, read behind the frame, names a trigger, since what its stamps take from one
+//! was measured when the train began; of a clock that cannot be read, its relation from before must do. The arrivals of
+//! this frame and of those behind it must name the same. One of the two alone is not enough.
 
 use super::anchor::pace_of;
 use super::clock_relation::Tracker;
@@ -12,18 +12,11 @@ use super::dispute::{IN_TIME, Timing};
 use super::sighting::{Match, Sighting};
 use super::{Case, Matcher, Stage};
 
-/// What is known of a stream whose place is looked for.
-#[derive(Debug)]
-pub(super) struct Rejoin {
-    /// The clock's relation before.
-    pub(super) before: Option<Tracker>,
-}
-
 /// The trigger that a frame's clock names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Named {
     number: i64,
-    /// By the clock's relation from before.
+    /// Whether the clock's relation from before names the same trigger.
     unchanged: bool,
 }
 
@@ -31,13 +24,13 @@ impl Matcher {
     /// Finds the place of a stream by clock and arrivals.
     pub(super) fn rejoin(&mut self, case: &Case<'_>) -> Match {
         let before = match &self.stage {
-            Stage::Lost(lost) => lost.before,
+            Stage::Lost(before) => *before,
             _ => None,
         };
         if !case.frame.complete || case.frame.camera_ns.is_none() {
             return self.give_up(case.frame);
         }
-        if self.awaits_reading(case) {
+        if !case.last_call && self.clock.awaits(case.frame, case.hsu) {
             return Match::Wait;
         }
         let more = !case.last_call;
@@ -79,7 +72,7 @@ impl Matcher {
         answer
     }
 
-    /// Whether the frame before arrived as the ids say; this one is the next one's.
+    /// Whether this frame follows the one before as its id does, by their arrivals; keeps this one for the next call.
     pub(super) fn follows(&mut self, frame: &Sighting, number: Option<i64>) -> bool {
         let before = std::mem::replace(&mut self.arrived, number.map(|number| (frame.id, number)));
         before.zip(number).is_some_and(|((id, before), number)| {
@@ -98,8 +91,8 @@ impl Matcher {
             let unchanged = tracked.is_some_and(|ns| (ns - read).abs() <= period_ns / 4);
             return Some(Named { number, unchanged });
         }
-        // Where readings are to be had, nothing else is believed.
-        if self.clock.tells() {
+        // Where the clock can be read, only readings are used.
+        if self.clock.distinguishes() {
             return None;
         }
         let (number, residual) = case.table.nearest(tracked?)?;

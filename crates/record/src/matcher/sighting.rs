@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is asked of the matcher, and what it answers.
+//! The input of the matcher, and its answers.
 
 use crate::base::ids::BlockId;
 
-/// What the witnesses say of one frame.
+/// What is seen of one frame: its id, its timestamp and its arrival.
 #[derive(Debug, Clone, Copy)]
 pub struct Sighting {
-    /// GVSP block id.
     pub id: BlockId,
     /// Camera clock, ns, at whatever point of the frame the camera stamps; `None` where the leader was lost or there
     /// is no stamp.
@@ -17,25 +16,25 @@ pub struct Sighting {
     pub complete: bool,
 }
 
-/// What a match rests on.
+/// The number of sources that a match rests on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Witness {
     /// Two of block id, timestamp and arrival agree, and the third does not refute them.
     Two,
-    /// One of them alone.
+    /// Only one of them names the trigger.
     One,
 }
 
-/// What else a frame's witnesses show.
+/// An irregularity that a frame's sources show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Finding {
-    /// The id jumped by so many more than frames were lost (negative: it fell back).
+    /// The id jumped by this many more than frames were lost (negative: it fell back).
     IdJump(i64),
     /// The id is that of the frame before.
     IdRepeated,
-    /// The camera's clock was set anew, by about so many ns.
+    /// The camera's clock was set, by about this many ns.
     ClockReset(i128),
-    /// Its timestamp alone is wrong, by so many ns; `None`: it has none, and the camera's other frames have.
+    /// Its timestamp alone is wrong, by this many ns; `None`: it has none, and the camera's other frames have.
     StampWrong(Option<i128>),
 }
 
@@ -44,17 +43,15 @@ pub enum Finding {
 pub struct Matched {
     /// The trigger's number; negative in the warm-up.
     pub number: i64,
-    /// What it rests on.
     pub witness: Witness,
-    /// So many triggers before it gave frames that were lost on the way.
+    /// Triggers before it whose frames were lost on the way.
     pub lost: u64,
-    /// So many triggers before it were ignored by the camera.
+    /// Triggers before it that the camera ignored.
     pub ignored: u64,
-    /// Anything else.
     pub finding: Option<Finding>,
 }
 
-/// What a frame is.
+/// The answer of the matcher for one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Match {
     /// The frame of a trigger.
@@ -65,7 +62,7 @@ pub enum Match {
     Spurious(i64),
     /// Packets, no frame: its id is that of a trigger that has its outcome, or that had not been fired when it arrived.
     Stray,
-    /// Its witnesses contradict each other, and nothing says which of them is right.
+    /// Its witnesses contradict each other, and nothing decides which of them is right.
     Undecided,
     /// It came before the first trigger.
     BeforeTrain,

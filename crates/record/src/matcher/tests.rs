@@ -33,7 +33,7 @@ impl Outcome {
     }
 }
 
-/// As the accounting does it: frames wait in a queue, and are asked for again at every news.
+/// As the accounting does it: frames wait in a queue, and are offered again with every new report, frame or reading.
 struct Player {
     matcher: Matcher,
     table: TriggerTable,
@@ -41,7 +41,7 @@ struct Player {
     /// With its true trigger, whether it is a copy, and since when it waits.
     pending: VecDeque<(Sighting, Option<i64>, bool, u64)>,
     period_ns: u64,
-    /// Readings of the camera's clock that were asked for, with when they are there, HSU clock, ns.
+    /// Requested readings of the camera's clock, each with the time at which it is made, HSU clock, ns.
     readings: VecDeque<(u64, Exchange)>,
     random: history::Random,
     outcome: Outcome,
@@ -247,11 +247,11 @@ fn histories(usual: u64) -> std::ops::Range<u64> {
     }
 }
 
-/// Histories in which one source or two slip by one or two periods, for a while or for good, often after a loss, beside a
-/// host that stands still for up to 300 ms. `FOURDBODY_HISTORIES` sets how many.
+/// Histories in which one source or two slip by one or two periods, for a while or for good, often after a loss, beside
+/// a host that stands still for up to 300 ms. `FOURDBODY_HISTORIES` sets how many.
 ///
-/// Where counter and clock are off alike, they agree with each other: then arrivals alone can tell, and only while they come
-/// regularly and the host does not stand still. What that costs is counted beside.
+/// Where counter and clock are off alike, they agree with each other: then arrivals alone can tell, and only while they
+/// come regularly and the host does not stand still. What that costs is counted beside.
 #[test]
 fn a_source_that_slips_files_no_frame_wrongly() {
     let mut table = std::collections::BTreeMap::new();
@@ -304,8 +304,8 @@ fn a_host_that_stands_still_costs_no_frames() {
     assert!(early.given_up * 20 <= early.frames, "more than a twentieth given up: {early:?}");
 }
 
-/// Faults a dozen triggers apart on a host that takes four frames of ten up late: arrivals tell little, and a contradiction
-/// is over before enough frames have come.
+/// Faults a dozen triggers apart on a host that takes four frames of ten up late: arrivals tell little, and a
+/// contradiction is over before enough frames have come.
 #[test]
 fn a_busy_host_costs_frames_beside_faults_and_files_none_wrongly() {
     let mut all = Outcome::default();
@@ -321,8 +321,8 @@ fn a_busy_host_costs_frames_beside_faults_and_files_none_wrongly() {
     assert!(all.given_up * 6 <= all.frames, "more than a sixth given up: {all:?}");
 }
 
-/// Without faults, on a host that takes four frames of ten up late: counter and clock are two witnesses, and lateness says
-/// nothing against them. Without timestamps the arrivals must show the rhythm of the warm-up.
+/// Without faults, on a host that takes four frames of ten up late: counter and clock are two witnesses, and lateness
+/// is no evidence against them. Without timestamps the arrivals must show the rhythm of the warm-up.
 #[test]
 fn a_busy_host_takes_no_frame_from_a_camera_with_timestamps() {
     let (mut stamped, mut unstamped) = (Outcome::default(), Outcome::default());

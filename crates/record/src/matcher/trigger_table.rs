@@ -4,26 +4,26 @@
 use hsu_firmware_proto::PAUSE_BEFORE;
 use std::collections::VecDeque;
 
-/// One trigger's time. Where its report is missing or contradicts the train's rhythm, `hsu_ns` is inferred from cameras or
-/// calculated from the sound reports around it.
+/// One trigger's time. Where its report is missing or contradicts the train's rhythm, `hsu_ns` is inferred from cameras
+/// or calculated from the sound reports around it.
 #[derive(Debug, Clone, Copy)]
 struct Row {
     hsu_ns: u64,
     /// Reported, and in rhythm with the reports before.
     sound: bool,
-    /// Reported at all.
-    heard: bool,
+    /// Whether the HSU reported it, in rhythm or not.
+    has_report: bool,
     /// Not reported, and cameras agree on it.
     agreed: bool,
 }
 
 impl Row {
     fn reported(hsu_ns: u64, sound: bool) -> Self {
-        Self { hsu_ns, sound, heard: true, agreed: false }
+        Self { hsu_ns, sound, has_report: true, agreed: false }
     }
 
     fn calculated(hsu_ns: u64) -> Self {
-        Self { hsu_ns, sound: false, heard: false, agreed: false }
+        Self { hsu_ns, sound: false, has_report: false, agreed: false }
     }
 
     fn is_known(&self) -> bool {
@@ -31,10 +31,11 @@ impl Row {
     }
 }
 
-/// Times of the triggers so far, HSU clock, by number; warm-up triggers have negative numbers.
+/// Times of the triggers so far, HSU clock, by number; warm-up triggers have negative numbers. The recorder's
+/// accounting owns one for each session and fills it from the HSU's reports; matchers read it.
 ///
-/// The HSU's times are a source of their own and can be wrong. What tells is their rhythm (`hsu-protocol.md`): two triggers
-/// are at least 7/8 of a period apart, one that comes later than it should is flagged, and no report is heard before its
+/// The HSU's times are a source of their own and can be wrong. Their rhythm shows it (`hsu-protocol.md`): two triggers
+/// are at least 7/8 of a period apart, one that comes later than it should is flagged, and no report arrives before its
 /// trigger was fired. A report that contradicts this is kept out: its trigger counts as not reported, and so do those
 /// behind it, until a report is in rhythm with the last sound one again.
 #[derive(Debug, Default)]
@@ -43,7 +44,6 @@ pub struct TriggerTable {
     period_ns: u64,
     first: i64,
     rows: VecDeque<Row>,
-    /// The last sound report.
     anchor: Option<Anchor>,
     /// Reports that contradict the rhythm.
     contradicting: u64,
@@ -66,9 +66,8 @@ struct Anchor {
 
 /// Longest table: eleven days at 120 Hz. A wild number must not allocate without bound.
 const TRIGGERS_MAX: i64 = 120_000_000;
-/// Most warm-up triggers.
 const WARM_UP_MAX: i64 = 1_000_000;
-/// Most reports that may be missing in a row.
+/// Most reports that may be missing in a row: it bounds the memory that a wrong number costs.
 const HOLE_MAX: i64 = 1_000_000;
 
 impl TriggerTable {
@@ -77,13 +76,8 @@ impl TriggerTable {
         Self { period_ns, ..Self::default() }
     }
 
-    /// Notes a trigger's time of which it is not known whether the HSU flagged it as late.
-    pub fn insert(&mut self, number: i64, hsu_ns: u64) {
-        self.report(number, hsu_ns, true, true);
-    }
-
-    /// Notes a reported time. `late`: the HSU flags it as late; `possible`: it was not heard before that time. Reports may
-    /// be repeated, and missing ones may come later. Numbers out of all bounds are ignored.
+    /// Notes a reported time. `late`: the HSU flags it as late; `possible`: it did not arrive before that time. Reports
+    /// may be repeated, and missing ones may come later. Numbers out of all bounds are ignored.
     pub fn report(&mut self, number: i64, hsu_ns: u64, late: bool, possible: bool) {
         if !(-WARM_UP_MAX..TRIGGERS_MAX).contains(&number) {
             return;
@@ -100,12 +94,12 @@ impl TriggerTable {
         if number - self.end() + 1 > HOLE_MAX {
             return;
         }
-        let Some(anchor) = self.anchor else { return self.begin_anew(number, hsu_ns, possible) };
+        let Some(anchor) = self.anchor else { return self.begin_again(number, hsu_ns, possible) };
         if number <= anchor.number {
             return self.fill(number, hsu_ns, possible);
         }
         let known = (number < self.end()).then(|| self.rows[(number - self.first) as usize]);
-        if known.is_some_and(|row| row.heard) {
+        if known.is_some_and(|row| row.has_report) {
             return;
         }
         if !possible || !self.is_in_rhythm(&anchor, number, hsu_ns, late) {
@@ -113,7 +107,7 @@ impl TriggerTable {
             let anchor = Anchor { contradicted: true, late: anchor.late || late, ..anchor };
             self.anchor = Some(anchor);
             self.grow_to(number, |steps| anchor.expected_ns(steps));
-            self.rows[(number - self.first) as usize].heard = true;
+            self.rows[(number - self.first) as usize].has_report = true;
             return;
         }
         let span = hsu_ns - anchor.hsu_ns;
@@ -131,7 +125,8 @@ impl TriggerTable {
         self.anchor = Some(Anchor { pause_ns, ..Anchor::at(number, hsu_ns, step_ns) });
     }
 
-    /// Rows up to a trigger; `hsu_ns` calculates the time of one so many triggers behind the last sound report.
+    /// Rows up to a trigger; `hsu_ns` calculates the time of one by its distance from the last sound report, in
+    /// triggers.
     fn grow_to(&mut self, number: i64, hsu_ns: impl Fn(i64) -> u64) {
         let anchor = self.anchor.map_or(self.first, |anchor| anchor.number);
         while self.end() <= number {
@@ -163,7 +158,8 @@ impl TriggerTable {
         let pauses =
             PAUSE_BEFORE.iter().filter(|pause| (anchor.number + 1..=number).contains(*pause)).count() as i128;
         if anchor.contradicted {
-            // Back in the old rhythm, and nowhere else: a step that is a period off would else be taken after some triggers.
+            // Back in the old rhythm, and nowhere else: a step that is a period off would else be taken after some
+            // triggers.
             let plain = span - (anchor.step_ns * steps as f64) as i128;
             let pause = |ns: i128| (plain - pauses * ns).abs() <= period / 8;
             let paused = anchor.pause_ns.map_or_else(|| pause(period / 2) || pause(period), pause);
@@ -182,7 +178,7 @@ impl TriggerTable {
     }
 
     /// The first sound report, behind others that were not.
-    fn begin_anew(&mut self, number: i64, hsu_ns: u64, possible: bool) {
+    fn begin_again(&mut self, number: i64, hsu_ns: u64, possible: bool) {
         self.grow_to(number, |_| hsu_ns);
         let row = &mut self.rows[(number - self.first) as usize];
         *row = Row::reported(hsu_ns, possible);
@@ -193,22 +189,17 @@ impl TriggerTable {
     /// A report that was missing: its time must lie between those of its neighbours.
     fn fill(&mut self, number: i64, hsu_ns: u64, possible: bool) {
         let place = (number - self.first) as usize;
-        let apart = self.period_ns * 7 / 8;
-        let row = |place: Option<usize>| place.and_then(|place| self.rows.get(place)).filter(|row| row.sound);
-        let after_last =
-            row(place.checked_sub(1)).is_none_or(|row| hsu_ns >= row.hsu_ns.saturating_add(apart));
-        let before_next = row(Some(place + 1)).is_none_or(|row| hsu_ns.saturating_add(apart) <= row.hsu_ns);
-        let around =
-            |place: Option<usize>| place.and_then(|place| self.rows.get(place)).map(|row| row.hsu_ns);
-        let least = around(place.checked_sub(1)).unwrap_or(0);
-        let most = around(Some(place + 1)).unwrap_or(u64::MAX);
-        let row = self.rows[place];
-        if !row.heard && possible && after_last && before_next && (least..=most).contains(&hsu_ns) {
+        let apart = |row: &Row| if row.sound { self.period_ns * 7 / 8 } else { 0 };
+        let before = place.checked_sub(1).and_then(|place| self.rows.get(place));
+        let after_last = before.is_none_or(|row| hsu_ns >= row.hsu_ns.saturating_add(apart(row)));
+        let after = self.rows.get(place + 1);
+        let before_next = after.is_none_or(|row| hsu_ns.saturating_add(apart(row)) <= row.hsu_ns);
+        if !self.rows[place].has_report && possible && after_last && before_next {
             self.rows[place] = Row::reported(hsu_ns, true);
         }
     }
 
-    /// A report of before the first one that was heard.
+    /// A report of a trigger before the first one that was reported.
     fn insert_before(&mut self, number: i64, hsu_ns: u64, possible: bool) {
         let Some(first) = self.rows.front().map(|row| row.hsu_ns).filter(|first| hsu_ns < *first) else {
             return;
@@ -235,8 +226,8 @@ impl TriggerTable {
     }
 
     /// Whether the HSU reported a trigger, in rhythm or not.
-    pub fn is_heard(&self, number: i64) -> bool {
-        self.row(number).is_some_and(|row| row.heard)
+    pub fn has_report(&self, number: i64) -> bool {
+        self.row(number).is_some_and(|row| row.has_report)
     }
 
     /// Whether cameras agree on the time of a trigger that was not reported.
@@ -260,9 +251,11 @@ impl TriggerTable {
         self.spread(number, hsu_ns);
     }
 
-    /// Between two reports triggers need not lie evenly: one may have been late. No two are closer than 7/8 of a period.
+    /// Between two reports triggers need not lie evenly: one may have been late. No two are closer than 7/8 of a
+    /// period.
     fn infer_between(&mut self, number: i64, hsu_ns: u64) {
-        let Some(place) = usize::try_from(number - self.first).ok().filter(|place| !self.rows[*place].heard)
+        let Some(place) =
+            usize::try_from(number - self.first).ok().filter(|place| !self.rows[*place].has_report)
         else {
             return;
         };
@@ -279,8 +272,8 @@ impl TriggerTable {
         self.spread(number, next_ns);
     }
 
-    /// The time of a trigger; `None` also where reports contradict each other and the train has paused since the last sound
-    /// one, for a time that is not known.
+    /// The time of a trigger; `None` also where reports contradict each other and the train has paused since the last
+    /// sound one, for a time that is not known.
     pub fn time_ns(&self, number: i64) -> Option<u64> {
         self.row(number).filter(|_| self.is_calculable(number)).map(|row| row.hsu_ns)
     }
@@ -319,11 +312,6 @@ impl TriggerTable {
         self.rows.is_empty()
     }
 
-    /// Triggers up to the last whose report is missing.
-    pub fn missing(&self) -> usize {
-        self.rows.iter().filter(|row| !row.sound).count()
-    }
-
     /// The time of the latest trigger.
     pub fn latest_ns(&self) -> Option<u64> {
         self.rows.back().map(|row| row.hsu_ns)
@@ -344,7 +332,7 @@ impl Anchor {
         Self { number, hsu_ns, step_ns, pause_ns: None, contradicted: false, late: false }
     }
 
-    /// When a trigger is due so many triggers later, ns.
+    /// When a trigger `steps` triggers later is due, ns.
     fn expected_ns(&self, steps: i64) -> u64 {
         self.hsu_ns.saturating_add((self.step_ns * steps as f64) as u64)
     }
@@ -360,12 +348,12 @@ pub struct Schedule<'a> {
 }
 
 impl TriggerTable {
-    /// What was reported, and nothing else.
+    /// The triggers that were reported, without expected ones.
     pub fn reported(&self) -> Schedule<'_> {
         Schedule { table: self, due: 0, period_ns: 1 }
     }
 
-    /// With the triggers that a train of this period has fired by `now_ns` (HSU clock), reported or not.
+    /// The same with the triggers that a train of this period has fired by `now_ns` (HSU clock), reported or not.
     pub fn expected_until(&self, now_ns: i128, period_ns: u64) -> Schedule<'_> {
         let since = self.latest_ns().map_or(0, |latest| now_ns - i128::from(latest));
         let due = (since / i128::from(period_ns.max(1))).clamp(0, HOLE_MAX.into()) as i64;
@@ -374,11 +362,6 @@ impl TriggerTable {
 }
 
 impl Schedule<'_> {
-    /// Whether nothing was reported yet: then nothing can be expected either.
-    pub fn is_empty(&self) -> bool {
-        self.table.is_empty()
-    }
-
     /// The time of a trigger.
     pub fn time_ns(&self, number: i64) -> Option<u64> {
         let ahead = number.checked_sub(self.table.end() - 1)?;
@@ -400,7 +383,7 @@ impl Schedule<'_> {
 
     /// Whether a trigger's report is missing between others, and no two cameras agree on its time.
     pub fn is_bridged(&self, number: i64) -> bool {
-        self.table.row(number).is_some_and(|row| !row.heard && !row.agreed)
+        self.table.row(number).is_some_and(|row| !row.has_report && !row.agreed)
     }
 
     /// Whether the HSU itself gave a trigger's time.
@@ -433,6 +416,16 @@ impl Schedule<'_> {
 #[cfg(test)]
 mod tests {
     use super::TriggerTable;
+
+    impl TriggerTable {
+        pub(crate) fn insert(&mut self, number: i64, hsu_ns: u64) {
+            self.report(number, hsu_ns, true, true);
+        }
+
+        fn missing(&self) -> usize {
+            self.rows.iter().filter(|row| !row.sound).count()
+        }
+    }
 
     #[test]
     fn triggers_are_expected_up_to_now_and_no_further() {
@@ -490,7 +483,7 @@ mod tests {
         }
         assert_eq!(table.missing(), 4);
         table.insert(1, 2_590);
-        assert!(table.is_heard(1) && table.time_ns(1) == Some(2_590));
+        assert!(table.has_report(1) && table.time_ns(1) == Some(2_590));
     }
 
     #[test]

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which header to believe, and one made anew where none is readable.
+//! The header that is used, and one that is rebuilt where none is readable.
 //!
-//! A segment's header has a checksum of its own (`crc32`), those of older recordings only the data section's, which only a
-//! closed segment has. Frames do not depend on it: their envelopes say which camera they are of.
+//! A segment's header has a checksum of its own (`crc32`), those of older recordings only the data section's, which
+//! only a closed segment has. Frames do not depend on it: their envelopes name the camera.
 
-use super::salvage::SegmentScan;
+use super::salvage::{SegmentScan, SmallRecord};
 use crate::base::ids::{CameraId, NodeId, SessionName};
 use crate::layout::{CameraHeader, HsuIdentity, KEY_RIG, MAX_CAMERAS, RecordingHeader};
 use crate::metadata::{StatedHeader, of_most};
@@ -33,7 +33,8 @@ fn cameras_of(scans: &[SegmentScan]) -> Vec<&(String, u32, u32)> {
     scans.iter().flat_map(|scan| &scan.cameras).filter(|camera| known.insert(*camera)).collect()
 }
 
-/// A header without proof, corrected by what the frames' envelopes prove (names and sizes), and by what only an HSU says.
+/// A header without proof, corrected by what the frames' envelopes prove (names and sizes), and by records that only an
+/// HSU makes.
 fn corrected(mut header: RecordingHeader, scans: &[SegmentScan]) -> RecordingHeader {
     let seen = cameras_of(scans);
     let mut unknown: Vec<_> =
@@ -58,7 +59,8 @@ fn corrected(mut header: RecordingHeader, scans: &[SegmentScan]) -> RecordingHea
 
 /// Whether an HSU counted the triggers: images that were imported have neither a trigger table nor readings of clocks.
 fn has_hsu(scans: &[SegmentScan]) -> bool {
-    scans.iter().any(|scan| !scan.triggers.is_empty() || !scan.clock_samples.is_empty())
+    let of_hsu = |record: &SmallRecord| matches!(record, SmallRecord::Trigger(_) | SmallRecord::Clock(_));
+    scans.iter().flat_map(|scan| &scan.records).any(|one| of_hsu(&one.record))
 }
 
 /// A header from what is left: entries of the damaged one, the frames, the trigger table, the directory's name.
@@ -72,7 +74,6 @@ pub fn rebuilt(path: &Path, scans: &[SegmentScan]) -> Option<RecordingHeader> {
     let node = NodeId(safe(node).unwrap_or_else(|| "unknown".to_owned()));
     let rig_text = entry(KEY_RIG).unwrap_or_default();
     let cameras = cameras_from_frames(&rig_text, scans)?;
-    let rows: Vec<_> = scans.iter().flat_map(|scan| &scan.triggers).map(|row| &row.record).collect();
     let header = RecordingHeader {
         session: SessionName(safe(session).unwrap_or_else(|| "unknown".to_owned())),
         session_id: entry("session_id").unwrap_or_default(),
@@ -82,7 +83,12 @@ pub fn rebuilt(path: &Path, scans: &[SegmentScan]) -> Option<RecordingHeader> {
         expected_triggers: None,
         trigger_rate_hz: rate(&rig_text, scans),
         host_clock: "unknown".to_owned(),
-        created_ns: rows.iter().map(|row| row.host_time_ns).min().unwrap_or(0),
+        created_ns: scans
+            .iter()
+            .flat_map(SegmentScan::triggers)
+            .map(|row| row.host_time_ns)
+            .min()
+            .unwrap_or(0),
         software: "unknown".to_owned(),
         subject: None,
         note: None,
@@ -118,7 +124,7 @@ fn rate(rig_text: &str, scans: &[SegmentScan]) -> f64 {
     if let Ok(rig) = parse_rig(rig_text) {
         return rig.trigger_rate_hz;
     }
-    let rows = || scans.iter().flat_map(|scan| &scan.triggers).map(|row| &row.record);
+    let rows = || scans.iter().flat_map(SegmentScan::triggers);
     let (Some(first), Some(last)) = (rows().min_by_key(|row| row.index), rows().max_by_key(|row| row.index))
     else {
         return 0.0;
@@ -128,8 +134,8 @@ fn rate(rig_text: &str, scans: &[SegmentScan]) -> f64 {
     if periods == 0 || ns == 0 { 0.0 } else { periods as f64 * 1e9 / ns as f64 }
 }
 
-/// Takes over from another node's recording of the session what a header that was made anew cannot know, and one that is
-/// not proven may have wrong. Either the id or the name of the session has to agree.
+/// Takes over from another node's recording of the session what a rebuilt header does not have, and one that is not
+/// proven may have wrong. Either the id or the name of the session has to agree.
 pub fn adopt(rebuilt: &mut RecordingHeader, other: &RecordingHeader) {
     let known = !rebuilt.session_id.is_empty();
     if known && rebuilt.session_id != other.session_id && rebuilt.session != other.session {

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One recording's segments together: which header to believe, one outcome for each camera and trigger, and how
+//! One recording's segments together: the header that is used, one outcome for each camera and trigger, and how
 //! the session ended.
 
-use super::salvage::{Labelled, SegmentScan, scan};
-use super::{Damage, RecoverError, header};
+use super::header;
+use super::salvage::{Damage, Labelled, SegmentScan, SmallRecord, scan};
 use crate::base::ids::TriggerIndex;
 use crate::belonging::{Belonging, SessionMark};
 use crate::credible::most_triggers;
+use crate::files::RecordingFiles;
 use crate::layout::{
     ClockSample, GapCause, MAX_TRIGGERS, NodeEvent, RecordingHeader, TriggerRecord, VERSION, segment_name,
 };
@@ -14,24 +15,23 @@ use crate::metadata::foreign_reason;
 use crate::reader::Outcome;
 use crate::scan::open_segment;
 use crate::segment_file::SegmentFile;
-use crate::session::RecordingFiles;
 use crate::statistics::WriteStatistics;
 use crate::verdict::{TriggerSet, Verdict};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
-/// What is left of one node's recording.
+/// What is left of one node's recording. Recovery makes one for each recording, and writes the copy from it.
 pub struct Salvage {
     /// Its directory, or the single segment.
     pub path: PathBuf,
-    /// What it says about itself.
+    /// The header that is used, possibly rebuilt.
     pub header: RecordingHeader,
-    /// Whether the header was not readable and had to be made anew.
+    /// Whether the header was not readable and was rebuilt.
     pub rebuilt: bool,
     /// Whether a checksum proves the header.
     pub proven: bool,
-    /// What its records have to say about their session.
+    /// The mark that its records must have.
     pub belonging: Belonging,
     /// Numbers of the small records that are there.
     numbers: TriggerSet,
@@ -43,13 +43,12 @@ pub struct Salvage {
     pub outcomes: Vec<BTreeMap<u64, Outcome>>,
     /// Per camera of the header: frames whose identity is known and whose pixels are damaged.
     pub damaged: Vec<BTreeSet<u64>>,
-    /// The trigger table.
     pub triggers: BTreeMap<u64, TriggerRecord>,
     /// In the order of the files.
     pub clock_samples: Vec<ClockSample>,
     /// In the order of the files.
     pub events: Vec<NodeEvent>,
-    /// The stored verdict, if it may be believed.
+    /// The stored verdict, if a checksum proves it or it agrees with the records.
     pub verdict: Option<Verdict>,
     /// How the disk kept up with the original.
     pub statistics: Option<WriteStatistics>,
@@ -57,17 +56,15 @@ pub struct Salvage {
     pub first_trigger: u64,
     /// Whether this is one segment of a recording that had more.
     pub fragment: bool,
-    /// What was found wrong.
     pub damage: Vec<Damage>,
     /// Small records that were there, but under no checksum that is right.
     pub records_lost: u64,
 }
 
-/// Opens and scans all segments. One that cannot be opened costs what is in it.
-pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result<Salvage, RecoverError> {
-    let unusable = |reason: String| RecoverError::Unusable { path: files.path.clone(), reason };
+/// Opens and scans all segments. One that cannot be opened costs what is in it; an error where nothing can be used.
+pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result<Salvage, String> {
     if let Some(reason) = &files.unlisted {
-        return Err(unusable(reason.clone()));
+        return Err(reason.clone());
     }
     let (mut opened, mut closed_to_us) = (Vec::new(), Vec::new());
     for (number, path) in &files.segments {
@@ -80,7 +77,7 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
         }
     }
     if let Some((_, reason)) = closed_to_us.first().filter(|_| closed_to_us.len() == opened.len()) {
-        return Err(unusable(reason.clone()));
+        return Err(reason.clone());
     }
     let numbered: Vec<(u32, &Option<SegmentFile>)> =
         files.segments.iter().zip(&opened).map(|((number, _), file)| (*number, file)).collect();
@@ -92,7 +89,7 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
     let rebuilt = stated.is_none();
     let (header, proven) = stated
         .or_else(|| header::rebuilt(&files.path, &scans).map(|header| (header, false)))
-        .ok_or_else(|| unusable("no segment has a readable header or a whole frame".to_owned()))?;
+        .ok_or("no segment has a readable header or a whole frame")?;
     let (header, belonging) = belonging(header, proven, &scans);
     let single = files.path.is_file();
     let mut salvage = Salvage {
@@ -117,7 +114,7 @@ pub fn salvage(files: &RecordingFiles, advance: &(dyn Fn(u64) + Sync)) -> Result
         files: opened,
     };
     if rebuilt {
-        salvage.note(0, "no segment has a readable header: made anew from the frames");
+        salvage.note(0, "no segment has a readable header: rebuilt from the frames");
     }
     salvage.note_missing_segments(files, single);
     closed_to_us.into_iter().for_each(|(number, reason)| salvage.note(number, reason));
@@ -152,7 +149,7 @@ impl Salvage {
     }
 
     /// A crash leaves the last segments open. One that a closed one follows was cut later, unless the disk had
-    /// refused it: then an event says so.
+    /// refused it: then an event names it.
     fn note_cut_segments(&mut self, numbers: &[u32], closed: &[bool]) {
         let finished = if self.verdict.is_some() { closed.len() } else { 0 };
         let last_closed = closed.iter().rposition(|closed| *closed).unwrap_or(0);
@@ -164,7 +161,7 @@ impl Salvage {
         }
     }
 
-    /// Small records have numbers: those that are not there were lost, even where nothing else tells. A single segment
+    /// Small records have numbers: those that are absent were lost, even where nothing else shows it. A single segment
     /// has only some of them.
     fn note_missing_records(&mut self) {
         let end = self.records.max(self.numbers.end()).min(MAX_TRIGGERS);
@@ -201,7 +198,7 @@ impl Salvage {
         }
         let Some((&last, _)) = there.last_key_value().filter(|(last, _)| **last >= end) else { return };
         let reason = format!(
-            "records of triggers {end} to {last} are left out: so many are not in a recording of {} bytes",
+            "records of triggers {end} to {last} are left out: a recording of {} bytes cannot have that many triggers",
             self.bytes()
         );
         self.note(0, reason);
@@ -233,15 +230,13 @@ impl Salvage {
         scan.frames.retain(|frame| belonging.admits(frame.session));
         scan.damaged_frames.retain(|(_, _, session)| belonging.admits(*session));
         let (frames, mut records) = (before - scan.frames.len(), 0);
-        let gaps = self.own(scan.gaps, &mut records);
-        let triggers = self.own(scan.triggers, &mut records);
-        let clock_samples = self.own(scan.clock_samples, &mut records);
-        let events = self.own(scan.events, &mut records);
+        let small = self.own(scan.records, &mut records);
         let verdict = self.own(scan.verdict.into_iter().collect(), &mut records).pop();
         let statistics = self.own(scan.statistics.into_iter().collect(), &mut records).pop();
         if frames > 0 || records > 0 {
             let reason = format!(
-                "{frames} frames and {records} other records are of another session, which the disk still held: they are left out"
+                "{frames} frames and {records} other records are of another session, which the disk still held: they \
+                 are left out"
             );
             self.note(number, reason);
         }
@@ -272,21 +267,26 @@ impl Salvage {
                 self.damaged[camera].insert(trigger);
             }
         }
-        for gap in gaps {
-            let camera = self.header.cameras.iter().position(|camera| camera.id == gap.camera);
-            if let Some(camera) = camera.filter(|_| gap.trigger.0 < MAX_TRIGGERS) {
-                self.outcomes[camera].entry(gap.trigger.0).or_insert(Outcome::Gap(gap.cause));
+        for record in small {
+            match record {
+                SmallRecord::Gap(gap) => {
+                    let camera = self.header.cameras.iter().position(|camera| camera.id == gap.camera);
+                    if let Some(camera) = camera.filter(|_| gap.trigger.0 < MAX_TRIGGERS) {
+                        self.outcomes[camera].entry(gap.trigger.0).or_insert(Outcome::Gap(gap.cause));
+                    }
+                }
+                SmallRecord::Trigger(row) if row.index.0 < MAX_TRIGGERS => {
+                    self.triggers.entry(row.index.0).or_insert(row);
+                }
+                SmallRecord::Trigger(_) => {}
+                SmallRecord::Clock(sample) => self.clock_samples.push(sample),
+                SmallRecord::Event(event) => self.events.push(event),
             }
         }
-        for row in triggers.into_iter().filter(|row| row.index.0 < MAX_TRIGGERS) {
-            self.triggers.entry(row.index.0).or_insert(row);
-        }
-        self.clock_samples.extend(clock_samples);
-        self.events.extend(events);
         if let Some(verdict) =
             verdict.filter(|verdict| scan.proven || scan.verdict_proven || self.agrees(verdict))
         {
-            self.records = scan.records.unwrap_or(0);
+            self.records = scan.stated_records.unwrap_or(0);
             self.verdict = Some(verdict);
         }
         self.statistics = statistics.or(self.statistics);
@@ -320,7 +320,7 @@ impl Salvage {
         self.known_end().max(stated)
     }
 
-    /// What the HSU counted, if the recording was finished and knows.
+    /// The HSU's count of triggers, if the recording was finished and has it.
     pub fn emitted(&self) -> Option<u64> {
         self.verdict.as_ref().and_then(|verdict| verdict.triggers_emitted)
     }
@@ -345,7 +345,7 @@ impl Salvage {
         }
     }
 
-    /// Bytes of all segments.
+    /// Length of all segments together, bytes.
     pub fn bytes(&self) -> u64 {
         self.files.iter().flatten().map(|file| file.len() as u64).sum()
     }
@@ -367,8 +367,8 @@ impl Salvage {
     }
 }
 
-/// What the records have to say about their session. An id that no checksum proves is held against the marks of the frames:
-/// where most contradict it, it is the id that is damaged, and the records stay without one.
+/// The mark that the records must have. An id that no checksum proves is compared with the marks of the frames: where
+/// most contradict it, the id is damaged, and the recording stays without one.
 fn belonging(
     mut header: RecordingHeader,
     proven: bool,

@@ -16,10 +16,10 @@ use std::iter::Peekable;
 use std::path::Path;
 use std::slice::Iter;
 
-/// Free disk that stays: whoever recovers on a disk that is almost full needs the rest.
+/// Free space that is left on the disk, bytes: small, because recovery is often run on a disk that is almost full.
 const RESERVE_BYTES: u64 = 64 << 20;
 
-/// Writes the recording to `dir`, which must not exist. `advance` is told the bytes of the source that are done.
+/// Writes the recording to `dir`, which must not exist. `advance` is called with the bytes of the source that are done.
 pub fn write(
     source: &Salvage,
     dir: &Path,
@@ -34,6 +34,7 @@ pub fn write(
         options,
         source.frame_bytes(),
         source.belonging.version,
+        Recording::disk(),
     )?;
     recording.state_statistics(source.statistics);
     let mut copy = Copy {
@@ -61,7 +62,7 @@ struct Copy<'a> {
     added: Vec<AddedGaps>,
     advance: &'a dyn Fn(u64),
     advanced: u64,
-    /// Of the frame that is copied.
+    /// Message of the frame that is copied, kept to reuse its memory.
     message: Vec<u8>,
 }
 
@@ -130,14 +131,7 @@ impl Copy<'_> {
         self.small_records(u64::MAX)?;
         (self.advance)(self.source.bytes().saturating_sub(self.advanced));
         let source = self.source;
-        let event = NodeEvent {
-            host_time_ns: host_time_ns(),
-            kind: RECOVERED.to_owned(),
-            camera: None,
-            trigger: None,
-            message: self.description(triggers),
-        };
-        self.recording.event(&event)?;
+        self.recording.event(&NodeEvent::new(RECOVERED, host_time_ns(), self.description(triggers)))?;
         let stored = source.verdict.as_ref();
         let emitted = if extent.triggers.is_some() { extent.emitted } else { source.emitted() };
         let verdict: Verdict = self.recording.finish(SessionEnd {

@@ -2,40 +2,60 @@
 //! What is usable in one segment: every frame checked, every small record under its chunk's checksum, and on
 //! behind damage.
 //!
-//! Nothing is believed that is not under a checksum. So a frame's camera and trigger are those of its envelope, and
-//! small records are known by their fields: what the container says around them may be what is damaged.
+//! Nothing is used that is not under a checksum. So a frame's camera and trigger are those of its envelope, and
+//! small records are known by their fields: the container around them may be damaged.
 
-use super::Damage;
 use crate::belonging::{Label, SessionMark};
 use crate::envelope::{Envelope, FRONT, parse_envelope, parse_envelope_of, pixels_crc};
 use crate::layout::{
-    ClockSample, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_LENGTH, KEY_JSON,
-    KEY_RECORDS, NodeEvent, SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
+    ClockSample, Entries, GapRecord, HEADER_METADATA, KEY_END_TRIGGER, KEY_FIRST_TRIGGER, KEY_INDEX_LENGTH,
+    KEY_JSON, KEY_RECORDS, NodeEvent, SEGMENT_METADATA, STATISTICS_METADATA, TriggerRecord, VERDICT_METADATA,
 };
-use crate::metadata::{StatedHeader, is_sound, parse_header, parse_index};
+use crate::metadata::{StatedHeader, is_sound, parse_header, parse_index, place_of};
 use crate::scan::{
-    End, Entries, Event, Found, MAX_MESSAGE, MESSAGE_HEADER, Walker, budget, find, is_json, metadata_by_index,
+    End, Event, Found, MAX_MESSAGE, MESSAGE_HEADER, Walker, budget, find, is_json, metadata_by_index,
 };
 use crate::segment_file::SegmentFile;
 use crate::statistics::WriteStatistics;
 use crate::verdict::Verdict;
 use crc32fast::Hasher;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::fmt;
 use std::ops::Range;
 
-/// What it costs to look at something found once more, in bytes of the budget.
+/// Cost of examining one found record again, in bytes of the budget.
 const FOUND_BYTES: usize = 64;
 /// Why an index is not followed any further.
 const INDEXED_OVER_AND_OVER: &str =
-    "its indexes name the same bytes over and over: they are not followed any further";
+    "its indexes name the same bytes again and again: they are not followed any further";
 /// Damaged places beyond this many are counted as the last one.
 const MAX_DAMAGE: usize = 1000;
 
-/// A record with what it says of its session and its number.
+/// A place in a segment that is not as it was written.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Damage {
+    pub segment: u32,
+    /// First byte that is not as it was written.
+    pub from: u64,
+    /// Offset at which usable records go on; 0 when the segment as such is concerned.
+    pub to: u64,
+    /// What was expected and found.
+    pub reason: String,
+}
+
+impl fmt::Display for Damage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.to {
+            0 => write!(f, "segment {}: {}", self.segment, self.reason),
+            to => write!(f, "segment {} bytes {} to {to}: {}", self.segment, self.from, self.reason),
+        }
+    }
+}
+
+/// A record with the mark of its session and its number.
 pub struct Labelled<T> {
-    /// What it says.
     pub label: Label,
-    /// The record.
     pub record: T,
 }
 
@@ -43,18 +63,15 @@ pub struct Labelled<T> {
 pub struct FoundFrame {
     /// Its camera, as a place in [`SegmentScan::cameras`].
     pub camera: usize,
-    /// Its trigger.
     pub trigger: u64,
-    /// Its session.
     pub session: Option<SessionMark>,
-    /// Where its message is in the file.
+    /// Place of its message in the file.
     pub message: Range<usize>,
 }
 
 /// Everything usable in a segment.
 #[derive(Default)]
 pub struct SegmentScan {
-    /// Its header, if readable.
     pub header: Option<StatedHeader>,
     /// Entries of a header that is not readable as a whole.
     pub header_entries: Entries,
@@ -72,21 +89,14 @@ pub struct SegmentScan {
     pub frames: Vec<FoundFrame>,
     /// Camera and trigger of frames whose envelope is whole and whose pixels are not.
     pub damaged_frames: Vec<(usize, u64, Option<SessionMark>)>,
-    /// In the order of the file; then those that only the index has.
-    pub gaps: Vec<Labelled<GapRecord>>,
-    /// In the order of the file.
-    pub triggers: Vec<Labelled<TriggerRecord>>,
-    /// In the order of the file.
-    pub clock_samples: Vec<Labelled<ClockSample>>,
-    /// In the order of the file.
-    pub events: Vec<Labelled<NodeEvent>>,
-    /// As stored.
+    /// In the order of the file; then gap records that only the index has.
+    pub records: Vec<Labelled<SmallRecord>>,
     pub verdict: Option<Labelled<Verdict>>,
-    /// Small records of the recording, as the verdict's metadata states them.
-    pub records: Option<u64>,
+    /// How many small records the recording has, as the verdict's metadata states it.
+    pub stated_records: Option<u64>,
     /// Whether the verdict's own checksum is right.
     pub verdict_proven: bool,
-    /// As stored, if its own checksum is right.
+    /// The stored statistics, if their own checksum is right.
     pub statistics: Option<Labelled<WriteStatistics>>,
     /// In the order of the file.
     pub damage: Vec<Damage>,
@@ -94,17 +104,27 @@ pub struct SegmentScan {
     pub records_lost: u64,
 }
 
-/// The small records, told apart by their fields, of which no two kinds have the same.
+/// A small record; the kinds are distinguished by their fields, which no two have in common.
 #[derive(Deserialize)]
 #[serde(untagged)]
-enum SmallRecord {
+pub enum SmallRecord {
     Gap(GapRecord),
     Trigger(TriggerRecord),
     Clock(ClockSample),
     Event(NodeEvent),
 }
 
-/// Scans a segment. `advance` is told the bytes done.
+impl SegmentScan {
+    /// The rows of the trigger table.
+    pub fn triggers(&self) -> impl Iterator<Item = &TriggerRecord> {
+        self.records.iter().filter_map(|one| match &one.record {
+            SmallRecord::Trigger(row) => Some(row),
+            _ => None,
+        })
+    }
+}
+
+/// Scans a segment. `advance` is called with the bytes done.
 pub fn scan(number: u32, file: &SegmentFile, advance: &dyn Fn(u64)) -> SegmentScan {
     let mut scanner = Scanner {
         number,
@@ -128,10 +148,10 @@ pub fn scan(number: u32, file: &SegmentFile, advance: &dyn Fn(u64)) -> SegmentSc
     scanner.found
 }
 
-/// Why the walk does not go on as the records say.
+/// Where and why the walk along the records ended.
 struct Break {
     at: usize,
-    /// What is wrong there; `None` where the file may just be cut.
+    /// The damage there; `None` where the file may just be cut.
     reason: Option<String>,
 }
 
@@ -141,17 +161,17 @@ struct Scanner<'a> {
     advance: &'a dyn Fn(u64),
     reported: usize,
     found: SegmentScan,
-    /// Records of the chunk that the walk is in, and whether they may be believed.
+    /// Records of the chunk that the walk is in, and whether they may be used.
     chunk: Range<usize>,
     trusted: bool,
     /// Whether a checksum proves everything in the chunk but pixels; a chunk that is cut has none.
     checked: bool,
-    /// Of the data section so far.
+    /// Checksum of the data section up to `hashed`.
     data: Hasher,
     hashed: usize,
     /// Whether an index has been named.
     indexed: bool,
-    /// Bytes that may still be looked at, see [`budget`].
+    /// Bytes that may still be examined, see [`budget`].
     budget: usize,
 }
 
@@ -162,7 +182,7 @@ impl<'a> Scanner<'a> {
             self.report(stop.at);
             let next = find(self.file, stop.at + 1, &mut self.budget);
             if self.budget == 0 {
-                let reason = "its records overlap, over and over: nothing from here on is looked for";
+                let reason = "its records overlap again and again: nothing is searched from here on";
                 self.damage(stop.at..self.file.len(), reason.to_owned());
                 break;
             }
@@ -212,7 +232,7 @@ impl<'a> Scanner<'a> {
         self.reported = self.reported.max(position);
     }
 
-    /// Takes what the records say, up to the first that is not as it should be.
+    /// Takes the records up to the first that is damaged.
     fn walk(&mut self, walker: &mut Walker<'a>) -> Option<Break> {
         for event in walker.by_ref() {
             match event {
@@ -257,8 +277,8 @@ impl<'a> Scanner<'a> {
         if !whole || self.hashed > records.start {
             return;
         }
-        self.look_at(2 * records.len());
-        // Zeros stand where nothing can be read: the checksum tells, as of any damage.
+        self.spend(2 * records.len());
+        // Zeros stand where nothing can be read: the checksum shows that, as any damage.
         self.file.pass(self.hashed..records.start, |bytes| self.data.update(bytes));
         let mut of_chunk = Hasher::new();
         self.file.pass(records.clone(), |bytes| of_chunk.update(bytes));
@@ -278,7 +298,7 @@ impl<'a> Scanner<'a> {
     }
 
     /// The checksum that a chunk's records would have with the pixels that their envelopes state. Nearly all bytes are
-    /// pixels: if it is right, only pixels are damaged, and the small records between them may be believed.
+    /// pixels: if it is right, only pixels are damaged, and the small records between them may be used.
     fn but_for_pixels(&self, records: &Range<usize>) -> Hasher {
         let (mut whole, mut done) = (Hasher::new(), records.start);
         let mut front = Vec::new();
@@ -301,7 +321,7 @@ impl<'a> Scanner<'a> {
     }
 
     fn message(&mut self, data: Range<usize>) -> Result<(), String> {
-        self.look_at(data.len());
+        self.spend(data.len());
         if self.budget == 0 {
             return Err("there is more in its records than in the file".to_owned());
         }
@@ -313,12 +333,7 @@ impl<'a> Scanner<'a> {
         let label = Label::of(&payload);
         match serde_json::from_slice(&payload) {
             Ok(_) if !trusted => self.found.records_lost += 1,
-            Ok(SmallRecord::Gap(gap)) => self.found.gaps.push(Labelled { label, record: gap }),
-            Ok(SmallRecord::Trigger(row)) => self.found.triggers.push(Labelled { label, record: row }),
-            Ok(SmallRecord::Clock(sample)) => {
-                self.found.clock_samples.push(Labelled { label, record: sample })
-            }
-            Ok(SmallRecord::Event(event)) => self.found.events.push(Labelled { label, record: event }),
+            Ok(record) => self.found.records.push(Labelled { label, record }),
             // The index, and records of later versions.
             Err(_) if trusted => {}
             // Its length may be what is damaged.
@@ -328,7 +343,7 @@ impl<'a> Scanner<'a> {
         Ok(())
     }
 
-    fn look_at(&mut self, bytes: usize) {
+    fn spend(&mut self, bytes: usize) {
         self.budget = self.budget.saturating_sub(bytes);
     }
 
@@ -403,7 +418,7 @@ impl<'a> Scanner<'a> {
             VERDICT_METADATA => {
                 let json = entries.get(KEY_JSON).map(String::as_str).unwrap_or_default();
                 self.found.verdict = serde_json::from_str(json).ok().map(|record| Labelled { label, record });
-                self.found.records = number(KEY_RECORDS);
+                self.found.stated_records = number(KEY_RECORDS);
                 self.found.verdict_proven = is_sound(entries) == Some(true);
             }
             STATISTICS_METADATA if is_sound(entries) == Some(true) => {
@@ -420,37 +435,36 @@ impl<'a> Scanner<'a> {
         self.indexed = true;
         // A segment has one index. A file may name one over and over, and frames in it that lie over each other.
         let length = entries.get(KEY_INDEX_LENGTH).and_then(|text| text.parse().ok()).unwrap_or(0);
-        self.look_at(self.file.len().min(length));
-        self.look_at(FOUND_BYTES * (self.found.frames.len() + self.found.gaps.len()));
+        self.spend(self.file.len().min(length));
+        self.spend(FOUND_BYTES * (self.found.frames.len() + self.found.records.len()));
         if self.budget == 0 {
             return self.damage(0..0, INDEXED_OVER_AND_OVER.to_owned());
         }
         let Some(index) = parse_index(self.file, entries) else { return };
-        let known: std::collections::BTreeSet<usize> =
-            self.found.frames.iter().map(|frame| frame.message.start).collect();
-        for (_, _, offset, length) in index.frames {
-            let (Ok(offset), Ok(length)) = (usize::try_from(offset), usize::try_from(length)) else {
-                continue;
-            };
-            let Some(end) =
-                offset.checked_add(length).filter(|end| *end <= self.file.len() && length <= MAX_MESSAGE)
-            else {
-                continue;
-            };
-            if !known.contains(&offset) {
-                self.look_at(length.max(FOUND_BYTES));
+        let known: BTreeSet<usize> = self.found.frames.iter().map(|frame| frame.message.start).collect();
+        for message in index.frames.iter().filter_map(|(_, _, offset, length)| place_of(*offset, *length)) {
+            let possible = message.end <= self.file.len() && message.len() <= MAX_MESSAGE;
+            if possible && !known.contains(&message.start) {
+                self.spend(message.len().max(FOUND_BYTES));
                 if self.budget == 0 {
                     return self.damage(0..0, INDEXED_OVER_AND_OVER.to_owned());
                 }
                 // What is wrong with it has been noted on the way, if it is not whole.
                 self.checked = false;
-                let _ = self.frame(offset..end);
+                let _ = self.frame(message);
             }
         }
-        let known: std::collections::BTreeSet<_> =
-            self.found.gaps.iter().map(|gap| (gap.record.camera.clone(), gap.record.trigger)).collect();
+        let known: BTreeSet<_> = self
+            .found
+            .records
+            .iter()
+            .filter_map(|one| match &one.record {
+                SmallRecord::Gap(gap) => Some((gap.camera.clone(), gap.trigger)),
+                _ => None,
+            })
+            .collect();
         let more = index.gaps.into_iter().filter(|gap| !known.contains(&(gap.camera.clone(), gap.trigger)));
         let label = Label::of_entries(entries);
-        self.found.gaps.extend(more.map(|record| Labelled { label, record }));
+        self.found.records.extend(more.map(|gap| Labelled { label, record: SmallRecord::Gap(gap) }));
     }
 }

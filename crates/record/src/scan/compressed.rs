@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Segments that another program compressed: they are refused by name, so that none is taken for an empty one.
 
-use super::{Fields, MAX_CHUNK_FIELDS, record_at};
+use super::{ChunkHeader, MAX_CHUNK_FIELDS, record_at};
 use crate::segment_file::{Pieces, SegmentFile};
 use mcap::MAGIC;
 use mcap::records::op;
@@ -10,7 +10,7 @@ use std::path::Path;
 /// Records before the first chunk that are looked through for its compression.
 const MAX_BEFORE_CHUNK: usize = 1000;
 
-/// Opens a segment for reading; says why it is of no use: it cannot be opened, or another program compressed it.
+/// Opens a segment for reading; an error where it cannot be opened, or another program compressed it.
 pub fn open_segment(path: &Path) -> Result<SegmentFile, String> {
     let file = SegmentFile::open(path).map_err(|error| format!("cannot be opened: {error}"))?;
     match compression(&file) {
@@ -19,7 +19,7 @@ pub fn open_segment(path: &Path) -> Result<SegmentFile, String> {
     }
 }
 
-/// Whether a chunk says that it is compressed as MCAP knows it; any other name is damage.
+/// Whether a chunk names a compression that MCAP defines; any other name is damage.
 pub(super) fn is_compression(name: &str) -> bool {
     ["zstd", "lz4"].contains(&name)
 }
@@ -33,18 +33,18 @@ fn compression(file: &SegmentFile) -> Option<String> {
         let (opcode, body) = record_at(&mut pieces, position)?;
         if opcode == op::CHUNK {
             let header = body.start..body.end.min(body.start + MAX_CHUNK_FIELDS);
-            let mut fields = Fields { bytes: pieces.get(header).ok()?, position: 8 + 8 + 8 + 4 };
-            return fields.text().filter(|name| is_compression(name)).map(str::to_owned);
+            let compression = ChunkHeader::of(pieces.get(header).ok()?)?.compression;
+            return Some(compression).filter(|name| is_compression(name));
         }
         position = body.end;
     }
     None
 }
 
-/// What is wrong with such a segment, and what to do.
+/// The message about such a segment, with what to do.
 pub(super) fn compressed_reason(compression: &str) -> String {
     format!(
-        "its chunks are compressed ({compression}), as `mcap compress`, `filter`, `merge` and `sort` write them; decompress it \
-         first: `mcap decompress IN -o OUT`, then `fourdbody recover`"
+        "its chunks are compressed ({compression}), as `mcap compress`, `filter`, `merge` and `sort` write them; \
+         decompress it first: `mcap decompress IN -o OUT`, then `fourdbody recover`"
     )
 }

@@ -2,7 +2,8 @@
 //! Where to go on behind damage.
 
 use super::{
-    Fields, MAX_MESSAGE, MAX_SMALL_RECORD, MESSAGE_HEADER, PREAMBLE, preamble, record_at, small_body,
+    ChunkHeader, Fields, MAX_MESSAGE, MAX_SMALL_RECORD, MESSAGE_HEADER, PREAMBLE, preamble, record_at,
+    small_body,
 };
 use crate::envelope::{FRONT, begins_like_envelope, parse_envelope_of};
 use crate::segment_file::{Pieces, SegmentFile};
@@ -11,11 +12,12 @@ use std::ops::Range;
 
 /// A chunk's fields before its records: two times, size, checksum, empty compression, size.
 const CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4 + 8;
-/// Looked through at once, bytes.
+/// Bytes that are searched at once.
 const PIECE: usize = 64 << 10;
 
-/// What the bytes of a file may be looked at in all: so many times its length, and a floor for short ones. A file that is not
-/// made to cost time needs four: chunk, pixels, and both once more where something is damaged.
+/// Bytes that may be examined in a pass over a file: a multiple of its length, and a floor for short ones. A file that
+/// is not crafted to cost time needs four times its length: chunk, pixels, and both once more where something is
+/// damaged.
 pub fn budget(length: usize) -> usize {
     const LOOKS: usize = 8;
     const FLOOR: usize = 16 << 20;
@@ -29,7 +31,7 @@ fn spend(budget: &mut usize, bytes: usize) -> Option<()> {
     left.map(|_| ())
 }
 
-/// What is usable behind damage.
+/// Something usable that was found behind damage.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Found {
     /// A record of ours begins here.
@@ -39,7 +41,7 @@ pub enum Found {
 }
 
 impl Found {
-    /// Its first byte.
+    /// Offset of its first byte in the file.
     pub fn start(&self) -> usize {
         match self {
             Self::Record(at) => *at,
@@ -50,10 +52,10 @@ impl Found {
 
 /// The next place from `from` on where something of ours is without doubt: a chunk whose three lengths agree, a
 /// metadata record with one of our names, a message of JSON or with an envelope whose checksum is right, or a frame
-/// both of whose checksums are right, whatever is around it. Bytes of candidates are taken off `budget`; what exceeds it is
-/// no candidate.
+/// both of whose checksums are right, whatever is around it. Bytes of candidates are taken off `budget`; what exceeds
+/// it is no candidate.
 pub fn find(file: &SegmentFile, from: usize, budget: &mut usize) -> Option<Found> {
-    // Candidates are looked at through a piece of their own.
+    // Candidates are read through a piece of their own.
     let (mut passed, mut candidates) = (Pieces::new(file), Pieces::new(file));
     let mut at = from;
     while at < file.len() {
@@ -85,12 +87,10 @@ fn is_record(pieces: &mut Pieces<'_>, at: usize, budget: &mut usize) -> Option<b
         // It may reach beyond the end of a file that was cut.
         op::CHUNK => {
             let body = at + PREAMBLE;
-            let mut fields = Fields { bytes: pieces.get(body..body + CHUNK_FIELDS).ok()?, position: 16 };
-            let (uncompressed, _) = (fields.u64()?, fields.u32()?);
-            let (compression, compressed) = (fields.u32()?, fields.u64()?);
-            compression == 0
-                && uncompressed == compressed
-                && compressed.checked_add(CHUNK_FIELDS as u64) == Some(length)
+            let chunk = ChunkHeader::of(pieces.get(body..body + CHUNK_FIELDS).ok()?)?;
+            chunk.compression.is_empty()
+                && chunk.uncompressed == chunk.compressed
+                && chunk.compressed.checked_add(CHUNK_FIELDS as u64) == Some(length)
         }
         op::METADATA if length <= MAX_SMALL_RECORD as u64 => {
             let (_, body) = record_at(pieces, at)?;
@@ -133,7 +133,7 @@ fn frame(pieces: &mut Pieces<'_>, at: usize, budget: &mut usize) -> Option<Range
     if !begins_like_envelope(few) {
         return None;
     }
-    // Nothing says how much of it can be read: the piece ends in front of what cannot.
+    // The piece ends in front of the first bytes that cannot be read.
     let end = file.len().min(at + FRONT);
     let front = match pieces.get(at..end) {
         Ok(_) => pieces.get(at..end).ok()?,

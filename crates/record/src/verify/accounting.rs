@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The accounting: outcomes counted again, and the trigger table.
 
-use super::{Notes, Severity};
-use crate::advice::Advice;
-use crate::layout::{GapCause, MAX_TRIGGERS};
+use super::findings::{Notes, Severity};
+use crate::layout::MAX_TRIGGERS;
 use crate::noted::{Noted, REFUSED, SETTING_CHANGED, UNCONFIRMED};
-use crate::reader::{Outcome, RecordingReader};
+use crate::reader::{GapRun, RecordingReader};
 use crate::simultaneous::TriggerRow;
 use crate::verdict::{Status, Verdict};
 
-/// The verdict as the records have it. What records cannot show (the HSU's count, why it was aborted) comes
+/// The verdict as the records give it. What records cannot show (the HSU's count, why it was aborted) comes
 /// from the stored one.
 pub fn recount(recording: &RecordingReader) -> Verdict {
     let stored = recording.verdict.as_ref();
@@ -27,7 +26,7 @@ pub fn recount(recording: &RecordingReader) -> Verdict {
         changed: noted.changed,
         not_simultaneous: noted.not_simultaneous.lines(),
         aborted: stored.and_then(|verdict| verdict.aborted.clone()),
-        advice: Advice::of_recording(recording),
+        advice: recording.advice(),
     };
     verdict.status = verdict.judge();
     verdict
@@ -45,21 +44,21 @@ pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) 
             notes.add(Severity::Corrupt, None, None, None, message);
         }
         Some(stored) if stored != verdict => {
-            let message = format!(
-                "the stored verdict is not what the records say; stored: {stored}; counted: {verdict}"
-            );
+            let message =
+                format!("the stored verdict differs from the records; stored: {stored}; counted: {verdict}");
             notes.add(Severity::Corrupt, None, None, None, message);
         }
         Some(_) => {}
     }
-    if !recording.belonging.is_witnessed() {
-        let message = "its records do not say which session they are of, as those of earlier versions: that none of \
-                       another session is among them rests on the headers alone";
+    if recording.belonging.written().is_none() {
+        let message = "its records have no mark of their session, as in earlier versions: only the headers show that \
+            none of another session is among them";
         notes.add(Severity::Note, None, None, None, message);
     }
     for range in recording.numbers.absent(recording.numbered().min(MAX_TRIGGERS)) {
         let message = format!(
-            "{} small records are missing (rows of the trigger table, gap records, samples or events), numbers {} to {}",
+            "{} small records are missing (rows of the trigger table, gap records, samples or events), numbers {} to \
+             {}",
             range.end - range.start,
             range.start,
             range.end - 1
@@ -95,44 +94,35 @@ pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) 
             notes.add(Severity::Unconfirmed, None, event.camera.as_ref(), triggers, message);
         }
     }
-    for camera in 0..recording.outcomes.len() {
-        check_outcomes(recording, camera, verdict.triggers, notes);
-    }
+    check_outcomes(recording, verdict.triggers, notes);
     check_table(recording, verdict.triggers, notes);
 }
 
 /// A line for each run of triggers with the same cause, and for each run without any outcome.
-fn check_outcomes(recording: &RecordingReader, camera: usize, triggers: u64, notes: &mut Notes) {
-    let (Some(outcomes), Some(described)) =
-        (recording.outcomes.get(camera), recording.header.cameras.get(camera))
-    else {
-        return;
-    };
-    let mut absent = |first: u64, last: u64| {
-        let message = "neither a frame nor a gap record";
-        notes.add(Severity::Corrupt, None, Some(&described.id), Some((first, last)), message);
-    };
-    let mut runs: Vec<(GapCause, u64, u64)> = Vec::new();
-    let mut next = 0;
-    for (&trigger, outcome) in outcomes {
+fn check_outcomes(recording: &RecordingReader, triggers: u64, notes: &mut Notes) {
+    let cameras = recording.header.cameras.iter().zip(&recording.outcomes).zip(recording.gap_runs());
+    for ((camera, outcomes), runs) in cameras {
+        for range in absent(outcomes.keys().copied(), triggers) {
+            let message = "neither a frame nor a gap record";
+            notes.add(Severity::Corrupt, None, Some(&camera.id), Some(range), message);
+        }
+        for GapRun { triggers, cause } in runs {
+            let range = (triggers.start, triggers.end - 1);
+            notes.add(Severity::Loss, None, Some(&camera.id), Some(range), format!("gap: {cause}"));
+        }
+    }
+}
+
+/// First and last of each row of triggers below `end` that are not among those, which are in order.
+fn absent(there: impl Iterator<Item = u64>, end: u64) -> Vec<(u64, u64)> {
+    let (mut rows, mut next) = (Vec::new(), 0);
+    for trigger in there.chain([end]) {
         if next < trigger {
-            absent(next, trigger - 1);
+            rows.push((next, trigger - 1));
         }
-        next = trigger + 1;
-        if let Outcome::Gap(cause) = *outcome {
-            match runs.last_mut() {
-                Some((of, _, last)) if *of == cause && *last + 1 == trigger => *last = trigger,
-                _ => runs.push((cause, trigger, trigger)),
-            }
-        }
+        next = next.max(trigger.saturating_add(1));
     }
-    if next < triggers {
-        absent(next, triggers - 1);
-    }
-    for (cause, first, last) in runs {
-        let message = format!("gap: {cause}");
-        notes.add(Severity::Loss, None, Some(&described.id), Some((first, last)), message);
-    }
+    rows
 }
 
 /// The trigger table has a row for every trigger. Imported images have no table.
@@ -140,13 +130,8 @@ fn check_table(recording: &RecordingReader, triggers: u64, notes: &mut Notes) {
     if recording.header.hsu.is_none() {
         return;
     }
-    let table = &recording.triggers;
-    let mut next = 0;
-    for index in table.keys().map(|index| index.0).chain([triggers]).filter(|index| *index <= triggers) {
-        if next < index {
-            let message = "no row in the HSU's trigger table";
-            notes.add(Severity::Loss, None, None, Some((next, index - 1)), message);
-        }
-        next = index.saturating_add(1);
+    let rows = recording.triggers.keys().map(|index| index.0).filter(|index| *index <= triggers);
+    for range in absent(rows, triggers) {
+        notes.add(Severity::Loss, None, None, Some(range), "no row in the HSU's trigger table");
     }
 }

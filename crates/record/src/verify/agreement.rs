@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The nodes of one session must tell the same story: one session, one HSU, one trigger table, and no camera twice.
+//! The recordings of the nodes of a session must agree: one session, one HSU, one trigger table, and no camera twice.
 
+use super::accounting;
+use super::findings::{Finding, Notes, Severity};
 use super::table::Table;
-use super::{Finding, Notes, Severity, accounting};
 use crate::layout::NOT_ASKED;
 use crate::reader::RecordingReader;
 use crate::session::{open_each, parse_rig};
@@ -12,20 +13,18 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::path::PathBuf;
 
-/// Two nodes' recordings, compared.
+/// The recordings of two nodes, compared with each other.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Comparison {
-    /// The nodes.
     pub nodes: [String; 2],
-    /// The sessions' ids.
     pub session_ids: [String; 2],
     /// Triggers, counted from the records.
     pub triggers: [u64; 2],
     /// Triggers that are in both HSU tables.
     pub table_rows: u64,
-    /// Of those, the ones whose rows differ.
+    /// Triggers in both tables whose rows differ.
     pub rows_that_differ: u64,
-    /// Whether nothing differs that has to agree; if not, findings say what.
+    /// Whether nothing differs that has to agree; otherwise findings name it.
     pub agree: bool,
 }
 
@@ -66,8 +65,12 @@ fn pair((first, counted_first): Counted<'_>, (other, counted): Counted<'_>, note
     differs("the session's id", b.session_id.clone(), a.session_id.clone());
     differs("the session's name", b.session.to_string(), a.session.to_string());
     differs("the trigger rate", b.trigger_rate_hz.to_string(), a.trigger_rate_hz.to_string());
-    let asked = |n: Option<u64>| n.map_or("until stop".to_owned(), |n| n.to_string());
-    differs("the number of triggers asked for", asked(b.expected_triggers), asked(a.expected_triggers));
+    let requested = |n: Option<u64>| n.map_or("until stop".to_owned(), |n| n.to_string());
+    differs(
+        "the number of triggers requested",
+        requested(b.expected_triggers),
+        requested(a.expected_triggers),
+    );
     if let (Some(found), Some(expected)) = (&b.hsu, &a.hsu) {
         differs("the HSU", found.uid.clone(), expected.uid.clone());
     }
@@ -101,15 +104,15 @@ fn pair((first, counted_first): Counted<'_>, (other, counted): Counted<'_>, note
     }
 }
 
-/// A node that was broken off and never learned the HSU's count ends at the last trigger that it knew of, and says so; the
-/// other one knows of more. Then what is missing is known, and why: loss, not a contradiction.
+/// A node that was aborted and never received the HSU's count ends at the last trigger that it knew of, and its verdict
+/// states that; the other one has more. Then it is known what is missing, and why: loss, not a contradiction.
 fn ended_unknowing(first: Counted<'_>, other: Counted<'_>) -> Option<Notes> {
     let ((short, counted), (longer, counted_longer)) =
         if first.1.triggers < other.1.triggers { (first, other) } else { (other, first) };
     let reason = counted.aborted.as_ref().filter(|_| counted.triggers_emitted.is_none())?;
     let last = counted_longer.triggers.checked_sub(1).filter(|last| *last >= counted.triggers)?;
     let message = format!(
-        "no outcomes: it was broken off and has not the HSU's count ({reason}); node {} has {} triggers",
+        "no outcomes: it was aborted and does not have the HSU's count ({reason}); node {} has {} triggers",
         longer.header.node, counted_longer.triggers
     );
     let mut notes = Notes::new(short.header.node.as_str());
@@ -127,12 +130,12 @@ pub fn note_absent(recordings: &[&RecordingReader], unreadable: &[&str], notes: 
             || unreadable.contains(&node)
     };
     let events = recordings.iter().flat_map(|recording| &recording.events);
-    let not_asked: BTreeSet<&str> =
+    let left_out: BTreeSet<&str> =
         events.filter(|event| event.kind == NOT_ASKED).map(|event| event.message.as_str()).collect();
     for node in rig.nodes().iter().filter(|node| !here(node.as_str())) {
         notes.node = node.to_string();
-        let message = if not_asked.contains(node.as_str()) {
-            "was not asked to take part: the session is of a part of the rig"
+        let message = if left_out.contains(node.as_str()) {
+            "does not take part: the session is of a part of the rig, as requested"
         } else {
             "its recording is not here; agreement was not checked"
         };
@@ -140,9 +143,9 @@ pub fn note_absent(recordings: &[&RecordingReader], unreadable: &[&str], notes: 
     }
 }
 
-/// Compares the nodes of sessions whose recordings are at several paths, as when each PC's part was copied to a place of
-/// its own. Only paths with one recording each are taken together, and only those of one session (by id or by name) and of
-/// different nodes: everything else is another session, or a copy.
+/// Compares the nodes of sessions whose recordings are at several paths, as when each PC's part was copied to a place
+/// of its own. Only paths with one recording each are taken together, and only those of one session (by id or by name)
+/// and of different nodes: everything else is another session, or a copy.
 pub fn compare(paths: &[PathBuf]) -> (Vec<Comparison>, Vec<Finding>) {
     let mut groups: Vec<Vec<RecordingReader>> = Vec::new();
     // What cannot be opened has been reported where the path was verified by itself.

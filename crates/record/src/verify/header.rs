@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The header against the rig file that it repeats: which cameras are this node's.
 
-use super::{Notes, Severity};
+use super::findings::{Notes, Severity};
 use crate::reader::RecordingReader;
 use crate::recover::is_of_damaged;
 use crate::session::parse_rig;
 
-/// How bad it is that a header contradicts something: that of a copy of a damaged recording may have been damaged.
+/// Severity of a contradiction to the header: that of a copy of a damaged recording may have been damaged.
 pub fn severity(recording: &RecordingReader) -> Severity {
     if is_of_damaged(recording) { Severity::Unconfirmed } else { Severity::Corrupt }
 }
 
-/// Each camera is one of the rig's, and of this node. A rig file that cannot be read says nothing.
+/// Each camera is one of the rig's, and of this node. A rig file that cannot be read is not used.
 pub fn check(recording: &RecordingReader, notes: &mut Notes) {
     let header = &recording.header;
     let Ok(rig) = parse_rig(&header.rig_text) else { return };

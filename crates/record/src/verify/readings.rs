@@ -1,30 +1,32 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A device's clock against the host's, from the recorded readings alone.
 //!
-//! A reading says that the clock showed a number at some time between question and answer. Near it this bounds host time
+//! A reading shows that the clock had a value at some time between request and answer. Near it this bounds host time
 //! from both sides, and clocks differ in rate by a known share at most. So each time is looked up among the readings
 //! around it, in an hour's recording as in a second's: no line is drawn through all of them. Where the clock was set, a
 //! new **epoch** begins.
 
 use crate::layout::ClockSample;
 
-/// A clock that was set more often than this is none: what it shows behind that is not heard.
+/// Most epochs of a clock: one that was set more often is no evidence, and its later readings are not used.
 const EPOCHS: usize = 1000;
-/// So many of them may be in force at an instant: more are no clock either, and would all be looked up.
+/// Most epochs that may be in force at an instant: it bounds what looking up a time costs.
 const IN_FORCE: usize = 16;
-/// An epoch is in force so long before its first reading and behind its last one, ns.
+/// Time before its first and behind its last reading for which an epoch is in force, ns.
 const BETWEEN_READINGS_NS: i128 = 5_000_000_000;
-/// Readings on each side of a time that are looked at: more than are made at once.
+/// Readings on each side of a time that are used for it: more than are made at once.
 const AROUND: usize = 20;
-/// Rates of two clocks differ by one in so many at most: crystals by 100 ppm, a host's clock that is slewed by 500.
+/// Reciprocal of the largest relative difference of two clocks' rates: crystals differ by 100 ppm, a slewed host by
+/// 500.
 const RATE: i128 = 2_000;
-/// Readings that follow each other may differ by so much beyond their round trips, ns, and by one in so many.
+/// Difference allowed between readings that follow each other, beyond their round trips, ns.
 const SLACK_NS: i128 = 100_000;
+/// Reciprocal of the relative difference allowed between them in addition.
 const STEP_RATE: i128 = 1_000;
-/// So many readings that agree with each other show that a clock was set; fewer may be wrong themselves.
+/// Readings that must agree with each other to show that a clock was set; fewer may be wrong themselves.
 const SUSTAINED: usize = 3;
 
-/// One reading, ns.
+/// One reading of the device's clock, ns.
 #[derive(Debug, Clone, Copy)]
 struct Reading {
     sent: i128,
@@ -41,7 +43,7 @@ impl Reading {
         }
     }
 
-    /// How far the clock went further than the host's, beyond what two readings leave open.
+    /// How much further than the host's clock this one went, beyond what two readings leave open, ns.
     fn jump_to(&self, next: &Self) -> i128 {
         let host = (next.sent + next.received - self.sent - self.received) / 2;
         let device = next.device - self.device;
@@ -58,12 +60,11 @@ pub struct Epoch {
     readings: Vec<Reading>,
 }
 
-/// A time of the host that a device's time stands for, and half of what the readings leave open, ns.
+/// The host's time of a device's time, and half of what the readings leave open, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct HostTime {
-    /// The middle.
+    /// Middle of what the readings leave open, host clock, ns.
     pub ns: i128,
-    /// To either side.
     pub open_ns: i128,
 }
 
@@ -113,7 +114,7 @@ pub struct Readings {
     pub epochs: Vec<Epoch>,
     /// Readings that contradict those before and behind them, which agree: the host's time, and by how much, ns.
     pub strays: Vec<(i128, i128)>,
-    /// Readings that were answered before they were asked for: the host's time, ns.
+    /// Readings that were answered before they were requested: the host's time, ns.
     pub impossible: Vec<i128>,
 }
 
@@ -145,14 +146,14 @@ impl Readings {
                 readings.epochs.push(Epoch { readings: vec![*reading] });
             }
         }
-        // A clock that is set stays so for longer, but for what the session's end cuts off.
+        // A clock that was set keeps its setting, unless the session ends right behind it.
         let set = readings.epochs.len().saturating_sub(1);
         let few = readings.epochs.iter().take(set).filter(|epoch| !epoch.is_sustained());
         readings.strays.extend(few.map(|epoch| (epoch.begin_ns(), 0)));
         readings
     }
 
-    /// What a device's time stands for, by each epoch that may have been in force at a time of the host.
+    /// The host's times of a device's time, one by each epoch that may have been in force at a time of the host.
     pub fn host_times(&self, device_ns: i128, host_ns: i128) -> impl Iterator<Item = HostTime> + '_ {
         let alone = self.epochs.len() == 1;
         let in_force = self.epochs.iter().filter(move |epoch| alone || epoch.covers(host_ns));
@@ -170,7 +171,7 @@ impl Readings {
         begins.into_iter().any(|begin| (begin - host_ns).abs() <= BETWEEN_READINGS_NS)
     }
 
-    /// Where the clock was set, as far as enough readings agree on both sides: the host's time, and by how much, ns.
+    /// The settings of the clock, as far as enough readings agree on both sides: the host's time, and by how much, ns.
     pub fn settings(&self) -> impl Iterator<Item = (i128, i128)> + '_ {
         let sustained: Vec<&Epoch> = self.epochs.iter().filter(|epoch| epoch.is_sustained()).collect();
         let pairs: Vec<(i128, i128)> = sustained

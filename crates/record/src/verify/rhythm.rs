@@ -1,24 +1,27 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where a stream stands: which triggers the frames of the warm-up are of, found again from the raw samples.
+//! Which triggers the frames of the warm-up are of, found again from the raw samples.
 //!
-//! Before some triggers of the warm-up the HSU pauses for longer (`hsu-protocol.md`). So only at the right place is the way
-//! from trigger to frame the same for all of them. How long that way is, is not assumed, nor that ids count every trigger.
+//! Before some triggers of the warm-up the HSU pauses for longer (`hsu-protocol.md`). So only at the right place is the
+//! way from trigger to frame the same for all of them. How long that way is, is not assumed, nor that ids count every
+//! trigger.
 
+use super::frame::{Frame, Seen, skipped};
 use super::table::Table;
-use super::witnesses::{Frame, Seen, skipped};
 
-/// Frames of the warm-up that are looked at, and triggers around them.
+/// Frames of the warm-up that are considered, from the first of the stream on.
 const FRAMES: usize = 64;
+/// Triggers that are considered, from the first of the warm-up on.
 const TRIGGERS: usize = 256;
-/// A place is found where three quarters of the frames fit, at least so many, and so many more than at any other.
+/// Frames that must fit a place, at least; three quarters of all must.
 const ENOUGH: usize = 5;
+/// Frames by which the best place must lead the second best.
 const MARGIN: usize = 2;
-/// By arrivals alone all frames but one must fit, three quarters of them as their ids count, and so many more than at any
-/// other: a busy host has rhythms of its own.
+/// The same by arrivals alone, where all frames but one must fit, three quarters of them as their ids count: a busy
+/// host has rhythms of its own.
 const MARGIN_OF_ARRIVALS: usize = 3;
-/// The frames that a place is tried with: the first may be nobody's.
+/// Frames from the first one on that places are tried with: the first may be of no trigger.
 const TRIED: usize = 3;
-/// A frame comes so many periods after its trigger at most.
+/// Periods after its trigger within which a frame arrives.
 const LATEST_PERIODS: i128 = 8;
 
 /// A place that was tried.
@@ -27,23 +30,23 @@ struct Fit {
     way_ns: i128,
     /// Frames with the triggers that they fit, as their ids count them.
     frames: Vec<Frame>,
-    /// How many fit any.
     fitting: usize,
 }
 
-/// The frames of a camera's warm-up at their triggers; empty where the rhythm is not heard. By arrivals alone it may be heard
-/// in the first of them, as a node hears it while they come: a host that stands still later takes nothing back.
+/// The frames of a camera's warm-up at their triggers; empty where the rhythm is not found. By arrivals alone it may be
+/// found in the first of them, as a node finds it while they arrive, even if the host stands still later.
 pub fn warm_up(seen: &[Seen], table: &Table) -> Vec<Frame> {
     let seen = &seen[..seen.len().min(FRAMES)];
     let stamped = seen.iter().filter(|seen| seen.camera_ns != 0).count() * 2 > seen.len();
     let least = if stamped { seen.len() } else { ENOUGH };
     let triggers = table.begin(TRIGGERS);
-    let mut first = (least..=seen.len()).rev().map(|count| heard(&seen[..count], stamped, &triggers, table));
+    let mut first =
+        (least..=seen.len()).rev().map(|count| found_in(&seen[..count], stamped, &triggers, table));
     first.find(|frames| !frames.is_empty()).unwrap_or_default()
 }
 
-/// Where the rhythm is heard in all of these.
-fn heard(seen: &[Seen], stamped: bool, triggers: &[(i64, i128)], table: &Table) -> Vec<Frame> {
+/// The triggers of these frames, if their rhythm is found in all of them.
+fn found_in(seen: &[Seen], stamped: bool, triggers: &[(i64, i128)], table: &Table) -> Vec<Frame> {
     // By the camera's own clock, or by arrivals, in the HSU's time but for a constant.
     let at = |seen: &Seen| match stamped {
         true => Some(i128::from(seen.camera_ns)).filter(|ns| *ns != 0),
@@ -55,7 +58,7 @@ fn heard(seen: &[Seen], stamped: bool, triggers: &[(i64, i128)], table: &Table) 
             let way_ns = first - hsu_ns;
             if fits.iter().all(|fit| (fit.way_ns - way_ns).abs() > table.period_ns / 4) {
                 let all = fitting(seen, triggers, &at, way_ns, table.period_ns);
-                // One that arrives late may fit a later trigger than its own: the count of ids tells.
+                // A frame that arrives late may fit a later trigger than its own: the count of ids decides.
                 let frames = if stamped { all.clone() } else { counted_alike(&all) };
                 fits.push(Fit { way_ns, frames, fitting: all.len() });
             }
@@ -68,7 +71,7 @@ fn heard(seen: &[Seen], stamped: bool, triggers: &[(i64, i128)], table: &Table) 
         let (count, fitting) = (best.frames.len(), best.fitting);
         let clear = match stamped {
             true => fitting * 4 >= seen.len() * 3 && fitting >= second + MARGIN,
-            // As the node hears it: one held up with the next fits that one's trigger, and leaves it none.
+            // As the node finds it: a frame held up with the next fits the next one's trigger, and leaves that none.
             false => {
                 count * 4 >= fitting * 3
                     && fitting + 1 >= seen.len()

@@ -1,14 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Triggers in a row: so that a fault which lasts is one finding.
 
-use super::witnesses::Frame;
-
-/// The recorded triggers of frames.
-pub fn range_of(frames: &[Frame]) -> Option<(u64, u64)> {
-    let mut recorded = frames.iter().filter_map(|frame| u64::try_from(frame.number).ok());
-    let first = recorded.next()?;
-    Some((first, recorded.next_back().unwrap_or(first)))
-}
+use super::findings::{Notes, Severity};
+use super::frame::{Frame, range_of};
+use crate::base::ids::CameraId;
 
 /// Triggers in a row with the same fault, each with the ns of the first.
 #[derive(Default)]
@@ -23,14 +18,21 @@ impl Rows {
             _ => self.0.push(((trigger, trigger), ns)),
         }
     }
+
+    /// A finding for each row: data is corrupt. The message is made of the first one's time, ms.
+    pub fn note(self, camera: Option<&CameraId>, notes: &mut Notes, message: impl Fn(f64) -> String) {
+        for (range, ns) in self.0 {
+            notes.add(Severity::Corrupt, None, camera, Some(range), message(ms(ns)));
+        }
+    }
 }
 
-/// Parts of which no two sources tell the trigger, with what the first of a row says.
+/// Parts whose triggers no two sources confirm, with the message of the first of a row.
 #[derive(Default)]
 pub struct Wrong(pub Vec<((u64, u64), String)>);
 
 impl Wrong {
-    /// One more.
+    /// Adds a part, to the last row if it continues it.
     pub fn add(&mut self, range: (u64, u64), message: impl FnOnce() -> String) {
         match self.0.last_mut() {
             Some(((_, last), _)) if *last + 1 == range.0 => *last = range.1,
@@ -60,7 +62,7 @@ impl Late {
         self.open = true;
     }
 
-    /// Those that are late for so long, ns, and so many.
+    /// Rows of at least `count` frames that are late for at least `ns`.
     pub fn long(&self, ns: i128, count: usize) -> Vec<(u64, u64)> {
         let long = |(first, last, frames): &&(Frame, Frame, usize)| {
             *frames >= count && last.hsu_ns - first.hsu_ns >= ns
@@ -68,4 +70,9 @@ impl Late {
         let ends = self.runs.iter().filter(long);
         ends.filter_map(|(first, last, _)| range_of(&[*first, *last])).collect()
     }
+}
+
+/// Nanoseconds as milliseconds, for messages.
+pub fn ms(ns: i128) -> f64 {
+    ns as f64 / 1e6
 }

@@ -1,22 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bytes of the segments: every checksum, every frame, and the frames' places in time.
 
-use super::witnesses::{Seen, Times};
-use super::{Notes, Severity};
+use super::findings::{Notes, Severity};
+use super::frame::{Seen, Times};
 use crate::base::ids::TriggerIndex;
 use crate::frame_check::check_frame;
-use crate::layout::{GapRecord, SegmentIndex, TriggerRecord, image_topic};
+use crate::layout::{GapRecord, SegmentIndex, TriggerRecord};
 use crate::metadata::stated_index;
 use crate::reader::{RecordingReader, SegmentReader};
 use crate::scan::{End, Event, Walker, metadata_by_index};
 use crate::segment_file::SegmentFile;
-use crate::topic::Topic;
+use crate::topic::{Topic, Topics};
 use crc32fast::Hasher;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// Checks all segments; returns what the frames say of their instants, by camera of the header.
+/// Checks all segments; returns what the frames show of their instants, by camera of the header.
 pub fn check(recording: &RecordingReader, notes: &mut Notes, advance: &(dyn Fn(u64) + Sync)) -> Vec<Times> {
     let node = recording.header.node.as_str();
     let checked: Vec<(Notes, Vec<Times>)> = recording
@@ -50,67 +49,67 @@ fn check_segment(
         return times;
     };
     let number = Some(segment.number);
-    let topics: Vec<String> = recording.header.cameras.iter().map(|c| image_topic(&c.id)).collect();
-    let mut channels = BTreeMap::new();
+    let mut topics = Topics::of(&recording.header);
     let mut data_end = false;
     let mut index = SegmentIndex::default();
     let mut sums = Sums { file, number, passed: 0, data: Some(Hasher::new()), chunk: None, advance };
     let mut payload = Vec::new();
-    let mut walker = Walker::new(file);
-    loop {
-        for event in walker.by_ref() {
-            match event {
-                Event::Channel { id, topic } => {
-                    channels.insert(id, Topic::of(&topic, &topics));
-                }
-                Event::Chunk { records, crc, whole } => sums.enter_chunk(&records, crc, whole, notes),
-                Event::Message { channel, sequence, data } => {
-                    payload.resize(data.len(), 0);
-                    let read = file.read(data.start, &mut payload).map_err(|bad| bad.to_string());
-                    // One that is not readable has been noted when the recording was opened.
-                    if channels.get(&channel) == Some(&Topic::Gaps) {
-                        index.gaps.extend(serde_json::from_slice::<GapRecord>(&payload).ok());
-                    } else if channels.get(&channel) == Some(&Topic::Triggers) {
+    let mut walker = Walker::new(file).over_holes();
+    for event in walker.by_ref() {
+        match event {
+            Event::Channel { id, topic } => topics.announce(id, &topic),
+            Event::Chunk { records, crc, whole } => sums.enter_chunk(&records, crc, whole, notes),
+            Event::Message { channel, sequence, data } => {
+                payload.resize(data.len(), 0);
+                let read = file.read(data.start, &mut payload).map_err(|bad| bad.to_string());
+                // One that is not readable has been noted when the recording was opened.
+                match topics.carried_by(channel) {
+                    Topic::Gaps => index.gaps.extend(serde_json::from_slice::<GapRecord>(&payload).ok()),
+                    Topic::Triggers => {
                         let row = serde_json::from_slice::<TriggerRecord>(&payload).ok();
                         index.triggers.get_or_insert_default().extend(row.map(|row| row.row()));
-                    } else if let Some(Topic::Image(camera)) = channels.get(&channel) {
-                        let trigger = u64::from(sequence);
-                        index.frames.push((*camera as u32, trigger, data.start as u64, data.len() as u64));
-                        let checked = read.clone().and_then(|()| {
-                            check_frame(
-                                &payload,
-                                *camera,
-                                TriggerIndex(trigger),
-                                &recording.header,
-                                &recording.belonging,
-                            )
-                        });
-                        note_frame(recording, segment, *camera, trigger, checked.as_ref().err(), notes);
+                    }
+                    Topic::Image(camera) => {
+                        let (trigger, header) = (u64::from(sequence), &recording.header);
+                        index.frames.push((camera as u32, trigger, data.start as u64, data.len() as u64));
+                        let check = |()| {
+                            check_frame(&payload, camera, TriggerIndex(trigger), header, &recording.belonging)
+                        };
+                        let checked = read.clone().and_then(check);
+                        let (id, range) = (Some(&header.cameras[camera].id), Some((trigger, trigger)));
+                        if let Err(reason) = &checked {
+                            notes.add(Severity::Corrupt, number, id, range, reason);
+                        }
+                        let first = segment.first_trigger;
+                        if trigger < first || segment.end_trigger.is_some_and(|end| trigger >= end) {
+                            let end = segment.end_trigger.map_or("the end".to_owned(), |end| end.to_string());
+                            let message =
+                                format!("the frame lies outside of its segment's triggers, {first} to {end}");
+                            notes.add(Severity::Corrupt, number, id, range, message);
+                        }
                         if let Ok((meta, pixels)) = checked {
                             let (camera_ns, host_ns) = (meta.camera_time_ns, meta.host_time_ns);
-                            times[*camera].insert(trigger, Seen { block: meta.block.0, camera_ns, host_ns });
+                            times[camera].insert(trigger, Seen { block: meta.block.0, camera_ns, host_ns });
                             sums.message(&data, &payload[..pixels.start], Some(meta.pixels_crc), notes);
                             continue;
                         }
                     }
-                    if read.is_ok() {
-                        sums.message(&data, &payload, None, notes);
-                    }
+                    Topic::Clock | Topic::Events | Topic::Other => {}
                 }
-                Event::DataEnd { offset, crc } => {
-                    data_end = true;
-                    sums.end_data(offset, crc, notes);
+                if read.is_ok() {
+                    sums.message(&data, &payload, None, notes);
                 }
-                Event::Footer { covered, crc } => {
-                    if let Some(found) = file.checksum(covered) {
-                        check_crc(notes, number, found, crc, "the summary fails its checksum");
-                    }
-                }
-                Event::Metadata { .. } => {}
             }
-        }
-        if !walker.go_on() {
-            break;
+            Event::DataEnd { offset, crc } => {
+                data_end = true;
+                sums.end_data(offset, crc, notes);
+            }
+            Event::Footer { covered, crc } => {
+                if let Some(found) = file.checksum(covered) {
+                    check_crc(notes, number, found, crc, "the summary fails its checksum");
+                }
+            }
+            Event::Metadata { .. } => {}
         }
     }
     sums.finish(notes);
@@ -122,15 +121,15 @@ fn check_segment(
         // Older versions have no triggers in it.
         index.triggers = index.triggers.filter(|_| stated.as_ref().is_some_and(|x| x.triggers.is_some()));
         if stated != Some(index) {
-            notes.add(Severity::Corrupt, number, None, None, "its index is not what its records say");
+            notes.add(Severity::Corrupt, number, None, None, "its index differs from its records");
         }
     }
     note_end(recording, segment, walker.end(), data_end, notes);
     times
 }
 
-/// Checksums of the chunks and of the data section, each byte passed over once: a frame's pixels have just proven theirs,
-/// and checksums of parts combine.
+/// Checksums of the chunks and of the data section, each byte passed over once: a frame's pixels have just proven
+/// theirs, and checksums of parts combine.
 struct Sums<'a> {
     file: &'a SegmentFile,
     number: Option<u32>,
@@ -138,7 +137,6 @@ struct Sums<'a> {
     passed: usize,
     /// `None` behind what cannot be read.
     data: Option<Hasher>,
-    /// The open chunk.
     chunk: Option<Chunk>,
     advance: &'a (dyn Fn(u64) + Sync),
 }
@@ -147,7 +145,7 @@ struct Chunk {
     records: Range<usize>,
     stated: u32,
     sum: Hasher,
-    /// Nothing can be said of a chunk that is cut, or partly unreadable.
+    /// Whether the checksum can be computed: not that of a chunk that is cut, or partly unreadable.
     known: bool,
 }
 
@@ -162,7 +160,7 @@ impl Sums<'_> {
         self.pass(data.start, notes);
         let chunk_end = self.chunk.as_ref().map_or(data.end, |chunk| chunk.records.end);
         if self.passed != data.start || data.end > chunk_end {
-            // Behind what cannot be read nothing says that records lie in their chunks.
+            // Behind bytes that cannot be read it is not known whether records lie in their chunks.
             return;
         }
         let mut sum = Hasher::new();
@@ -231,27 +229,6 @@ fn check_crc(notes: &mut Notes, segment: Option<u32>, found: Hasher, stated: u32
     }
 }
 
-fn note_frame(
-    recording: &RecordingReader,
-    segment: &SegmentReader,
-    camera: usize,
-    trigger: u64,
-    wrong: Option<&String>,
-    notes: &mut Notes,
-) {
-    let id = recording.header.cameras.get(camera).map(|camera| &camera.id);
-    let mut add = |message: String| {
-        notes.add(Severity::Corrupt, Some(segment.number), id, Some((trigger, trigger)), message);
-    };
-    if let Some(reason) = wrong {
-        add(reason.clone());
-    }
-    if trigger < segment.first_trigger || segment.end_trigger.is_some_and(|end| trigger >= end) {
-        let end = segment.end_trigger.map_or("the end".to_owned(), |end| end.to_string());
-        add(format!("the frame lies outside of its segment's triggers, {} to {end}", segment.first_trigger));
-    }
-}
-
 fn note_end(
     recording: &RecordingReader,
     segment: &SegmentReader,
@@ -266,12 +243,12 @@ fn note_end(
             notes.add(Severity::Corrupt, number, None, None, "closed without an end of its data section");
         }
         End::Cut { at } => {
-            // A segment that the disk refused stays open, and the accounting went on in a later one, which says so. Any
-            // other one was cut, or has a length field that points beyond its end.
+            // A segment that the disk refused stays open, and the accounting went on in a later one, which names it.
+            // Any other one was cut, or has a length field that points beyond its end.
             let excused = recording.events.iter().any(|event| event.gives_up(segment.number));
             let is_last = recording.segments.last().is_some_and(|last| last.number == segment.number);
             let severity = if excused && !is_last { Severity::Loss } else { Severity::Corrupt };
-            let message = format!("was not closed: usable up to byte {at} of {}", segment.length());
+            let message = format!("not closed, usable up to byte {at} of {}", segment.length());
             notes.add(severity, number, None, None, message);
         }
         End::Damaged { at, reason } => {

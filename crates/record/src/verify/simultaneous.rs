@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Whether exposures that were scheduled by PTP rest on a clock that PTP kept: found out from the recorded statuses and
-//! times, whatever the node made of them.
+//! times, independent of what the node concluded.
 
-use super::{Notes, Severity};
+use super::findings::{Notes, Severity};
 use crate::base::ids::CameraId;
 use crate::layout::{ACTION_UNIT, ACTIONS_AT_ONCE, PTP_STATUS, ptp_keeps};
 use crate::reader::RecordingReader;
@@ -17,8 +17,8 @@ pub fn check(recording: &RecordingReader, notes: &mut Notes) {
     }
     for camera in &recording.header.cameras {
         for row in unnamed(recording, &camera.id).iter() {
-            let message = "PTP did not keep its clock meanwhile (events ptp_status), and no event says that these exposures \
-                           were not simultaneous with those of the others";
+            let message = "PTP did not keep its clock meanwhile (events ptp_status), and no event states that these \
+                exposures were not simultaneous with those of the others";
             notes.add(Severity::Unconfirmed, None, Some(&camera.id), Some((row.first, row.last)), message);
         }
     }

@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The trigger table as a witness of its own: its rhythm, the header's rate, the HSU's clock and the reports' arrival.
 
+use super::findings::{Notes, Severity};
 use super::header::severity;
 use super::readings::{HostTime, Readings};
-use super::rows::Rows;
-use super::{Notes, Severity};
-use crate::base::ids::TriggerIndex;
+use super::rows::{Rows, ms};
 use crate::layout::{TriggerRecord, WarmUp};
 use crate::reader::RecordingReader;
 use crate::recover::RECOVERED;
@@ -15,20 +14,23 @@ use std::collections::BTreeMap;
 
 /// Rates that a header may state, Hz: what is beyond is a damaged or made-up number.
 const RATES_HZ: std::ops::RangeInclusive<f64> = 0.01..=100_000.0;
-/// Table and header differ in rate by one in so many at most: a projector's 59.94 Hz is called 60.
+/// Reciprocal of the largest relative difference between the rates of table and header: 59.94 Hz may be called 60.
 const RATE: i128 = 50;
-/// Steps that tell a rate.
+/// Steps of single triggers from which their median is used as the period.
 const STEPS: usize = 8;
-/// Reports of which the quickest comes at once.
+/// Reports among which one must have arrived without delay.
 const REPORTS: usize = 64;
-/// Triggers of a warm-up have no lower number. It bounds what a wrong one can cost.
+/// Lowest number of a warm-up trigger, negated: it bounds what a wrong number can cost.
 const WARM_UP_MAX: i64 = 1 << 40;
-/// Triggers further apart are not interpolated between.
+/// Largest number of missing triggers between two that times are interpolated for.
 const HOLE_MAX: i64 = 1 << 20;
 
 /// When triggers were fired, HSU clock.
+///
+/// Verification makes one for each recording and drops it at the end. It promises times as they were reported, or
+/// between two that were; nothing is extrapolated.
 pub struct Table {
-    /// By number; those of the warm-up are negative.
+    /// Rows by number; those of the warm-up are negative.
     rows: BTreeMap<i64, Row>,
     /// The HSU's clock against the host's.
     pub readings: Readings,
@@ -41,7 +43,7 @@ pub struct Table {
 #[derive(Debug, Clone, Copy)]
 struct Row {
     hsu_ns: i128,
-    /// As recorded; a warm-up trigger's are not.
+    /// The recorded row; warm-up triggers have none.
     recorded: Option<TriggerRecord>,
 }
 
@@ -88,7 +90,7 @@ impl Table {
             notes.add(severity(recording), None, None, None, message);
         }
         let period_ns = usual.filter(|_| steps.len() >= STEPS).or(period_ns).or(usual)?;
-        // A copy says when it was made.
+        // The event of a copy has the time at which it was made.
         let events =
             recording.events.iter().filter(|event| event.kind != RECOVERED).map(|event| event.host_time_ns);
         let samples = recording.clock_samples.iter().map(|sample| sample.host_receive_ns);
@@ -108,7 +110,8 @@ impl Table {
         Some(row.hsu_ns + (next.hsu_ns - row.hsu_ns) * i128::from(number - before) / i128::from(all))
     }
 
-    /// The host's time of a time of the HSU: by its readings, or where there are none, by the quickest report around it.
+    /// The host's time of a time of the HSU: by its readings, or where there are none, by the quickest report around
+    /// it.
     pub fn host_time(&self, hsu_ns: i128, number: i64) -> Option<HostTime> {
         if let Some(found) = self.readings.longest().and_then(|epoch| epoch.host_time(hsu_ns)) {
             return Some(found);
@@ -132,8 +135,8 @@ impl Table {
         }
     }
 
-    /// Holds the table against its own rhythm and flags, and against the arrival of its reports. A single segment is not the
-    /// `whole`: it says nothing of the beginning.
+    /// Checks the table against its own rhythm and flags, and against the arrival of its reports. A single segment is
+    /// not the `whole`: it does not have the beginning.
     pub fn check(&self, recording: &RecordingReader, whole: bool, notes: &mut Notes) {
         self.check_steps(notes);
         self.check_flags(recording, notes);
@@ -144,7 +147,7 @@ impl Table {
         }
     }
 
-    /// Triggers are at least 7/8 of a period apart, and one that is late says so (`hsu-protocol.md`, invariant 5).
+    /// Triggers are at least 7/8 of a period apart, and one that is late is flagged (`hsu-protocol.md`, invariant 5).
     fn check_steps(&self, notes: &mut Notes) {
         let period = self.period_ns;
         let slack = period / RATE + 1_000;
@@ -166,26 +169,18 @@ impl Table {
                 silent.add(number, step);
             }
         }
-        for (range, step) in close.0 {
-            let message = if step <= 0 {
-                format!("HSU time is not after that of the trigger before: {step} ns")
-            } else {
-                format!(
-                    "fired {:.3} ms after the trigger before; expected at least 7/8 of a period of {:.3} ms",
-                    ms(step),
-                    ms(period)
-                )
-            };
-            notes.add(Severity::Corrupt, None, None, Some(range), message);
-        }
-        for (range, step) in silent.0 {
-            let message = format!(
-                "fired {:.3} ms after the trigger before, and the HSU did not call it late; expected a period of {:.3} ms",
-                ms(step),
-                ms(period)
-            );
-            notes.add(Severity::Corrupt, None, None, Some(range), message);
-        }
+        let period = ms(period);
+        close.note(None, notes, |step| {
+            format!(
+                "fired {step:.3} ms after the trigger before; expected at least 7/8 of a period of {period:.3} ms"
+            )
+        });
+        silent.note(None, notes, |step| {
+            format!(
+                "fired {step:.3} ms after the trigger before, and the HSU did not flag it as late; expected a period \
+                 of {period:.3} ms"
+            )
+        });
     }
 
     fn check_flags(&self, recording: &RecordingReader, notes: &mut Notes) {
@@ -196,28 +191,27 @@ impl Table {
             let at = Some((index.0, index.0));
             if has(TriggerFlags::WARM_UP) {
                 let message =
-                    "the HSU calls it a trigger of the warm-up (flags), but it has a place in the session";
+                    "the HSU flags it as a trigger of the warm-up, but it has a place in the session";
                 notes.add(Severity::Corrupt, None, None, at, message);
             }
             if !has(TriggerFlags::LAST) {
                 continue;
             }
-            let asked = recording.header.expected_triggers.filter(|_| !pressed);
+            let requested = recording.header.expected_triggers.filter(|_| !pressed);
             if Some(*index) != last {
-                let message = "the HSU calls it the last trigger (flags), but there are later ones";
+                let message = "the HSU flags it as the last trigger, but there are later ones";
                 notes.add(Severity::Corrupt, None, None, at, message);
-            } else if let Some(asked) = asked.filter(|asked| *asked != index.0 + 1) {
-                let message = format!(
-                    "the HSU calls it the last trigger (flags); the header asks for {asked} triggers"
-                );
+            } else if let Some(requested) = requested.filter(|requested| *requested != index.0 + 1) {
+                let message =
+                    format!("the HSU flags it as the last trigger; the header requests {requested} triggers");
                 notes.add(Severity::Corrupt, None, None, at, message);
             }
         }
     }
 
-    /// A report is not heard before its trigger is fired; and of many, one comes at once.
+    /// A report does not arrive before its trigger is fired; and of many, one arrives without delay.
     fn check_reports(&self, recording: &RecordingReader, notes: &mut Notes) {
-        let (mut early, mut quickest, mut heard) = (Rows::default(), i128::MAX, 0);
+        let (mut early, mut quickest, mut count) = (Rows::default(), i128::MAX, 0);
         for (number, row) in &self.rows {
             let Some(recorded) = row.recorded.filter(|_| !self.readings.epochs.is_empty()) else { continue };
             let Some(fired) = self.host_time(row.hsu_ns, *number) else { continue };
@@ -226,19 +220,18 @@ impl Table {
                 early.add(*number, way);
             }
             quickest = quickest.min(way - fired.open_ns);
-            heard += 1;
+            count += 1;
         }
-        for (range, way) in early.0 {
+        early.note(None, notes, |way| {
+            let before = -way;
+            format!(
+                "reported {before:.3} ms before it was fired, by the recorded readings of the HSU's clock"
+            )
+        });
+        if count >= REPORTS && quickest > self.period_ns * 3 / 4 {
             let message = format!(
-                "reported {:.3} ms before it was fired, by the recorded readings of the HSU's clock",
-                ms(-way)
-            );
-            notes.add(Severity::Corrupt, None, None, Some(range), message);
-        }
-        if heard >= REPORTS && quickest > self.period_ns * 3 / 4 {
-            let message = format!(
-                "the quickest of {heard} reports came {:.3} ms after its trigger: the trigger times, or the readings of \
-                 the HSU's clock, are early",
+                "the quickest of {count} reports came {:.3} ms after its trigger: the trigger times, or the readings \
+                 of the HSU's clock, are early",
                 ms(quickest)
             );
             let rows = recording.triggers.first_key_value().zip(recording.triggers.last_key_value());
@@ -247,11 +240,12 @@ impl Table {
         }
     }
 
-    /// The HSU's clock runs through a session.
+    /// The HSU's clock is not set during a session.
     fn check_clock(&self, notes: &mut Notes) {
         for (at, by) in self.readings.settings() {
             let message = format!(
-                "the HSU's clock was set by {:.3} ms at {at} ns of the host's clock, by its readings; its triggers go on",
+                "the HSU's clock was set by {:.3} ms at {at} ns of the host's clock, by its readings; its triggers go \
+                 on",
                 ms(by)
             );
             notes.add(Severity::Corrupt, None, None, None, message);
@@ -259,8 +253,8 @@ impl Table {
         note_readings(&self.readings, None, "the HSU's clock", notes);
     }
 
-    /// What both nodes heard of the same HSU: a trigger has one time, and one set of flags. Returns how many triggers both
-    /// tables have, and in how many the rows differ.
+    /// Compares what two nodes recorded of the same HSU: a trigger has one time, and one set of flags. Returns how many
+    /// triggers both tables have, and in how many the rows differ.
     pub fn compare(first: &RecordingReader, other: &RecordingReader, notes: &mut Notes) -> (u64, u64) {
         let both =
             other.triggers.iter().filter_map(|(index, row)| Some((index.0, row, first.triggers.get(index)?)));
@@ -274,11 +268,11 @@ impl Table {
         let node = &first.header.node;
         if let (Some((index, found, expected)), Some((last, ..))) = (differ.first(), differ.last()) {
             let count = differ.len();
-            let told = |row: &TriggerRecord| format!("{} ns with flags {:#x}", row.hsu_time_ns, row.flags);
+            let shown = |row: &TriggerRecord| format!("{} ns with flags {:#x}", row.hsu_time_ns, row.flags);
             let message = format!(
                 "{count} triggers have another HSU time than on node {node}; trigger {index}: {}, there {}",
-                told(found),
-                told(expected)
+                shown(found),
+                shown(expected)
             );
             notes.add(Severity::Corrupt, None, None, Some((*index, *last)), message);
         }
@@ -316,8 +310,8 @@ fn check_created(recording: &RecordingReader, notes: &mut Notes) {
     if late || reading.is_some_and(|first| created.abs_diff(first) > PREPARED_NS) {
         let shown = |ns: Option<u64>| ns.map_or("none".to_owned(), |ns| format!("at {ns} ns"));
         let message = format!(
-            "created at {created} ns of the host's clock, but its first reading of a clock is {}, its first report of a \
-             trigger {}",
+            "created at {created} ns of the host's clock, but its first reading of a clock is {}, its first report of \
+             a trigger {}",
             shown(reading),
             shown(report)
         );
@@ -325,7 +319,7 @@ fn check_created(recording: &RecordingReader, notes: &mut Notes) {
     }
 }
 
-/// Readings of a clock that cannot be, and those that the others contradict.
+/// Findings for readings of a clock that are impossible, and for those that the others contradict.
 pub fn note_readings(
     readings: &Readings,
     camera: Option<&crate::base::ids::CameraId>,
@@ -335,24 +329,25 @@ pub fn note_readings(
     if let Some(at) = readings.impossible.first() {
         let count = readings.impossible.len();
         let message = format!(
-            "{count} readings of {of} were answered before they were asked for, the first at {at} ns"
+            "{count} readings of {of} were answered before they were requested, the first at {at} ns"
         );
         notes.add(Severity::Corrupt, None, camera, None, message);
     }
     if let Some((at, _)) = readings.strays.first() {
         let count = readings.strays.len();
         let message = format!(
-            "{count} readings of {of} contradict those around them and are not used, the first at {at} ns of the host's clock"
+            "{count} readings of {of} contradict those around them and are not used, the first at {at} ns of the \
+             host's clock"
         );
         notes.add(Severity::Unconfirmed, None, camera, None, message);
     }
 }
 
-/// The header's period, ns; `None` where it states none that can be.
+/// The header's period, ns; `None` where it states none that is possible.
 fn stated_period(recording: &RecordingReader, notes: &mut Notes) -> Option<i128> {
     let rate = recording.header.trigger_rate_hz;
     if rate == 0.0 {
-        // A header that `recover` made anew.
+        // Such a header was rebuilt by `recover`.
         let message = "its header states no trigger rate; the trigger table's own is used";
         notes.add(Severity::Unconfirmed, None, None, None, message);
         return None;
@@ -376,18 +371,8 @@ fn stated_period(recording: &RecordingReader, notes: &mut Notes) -> Option<i128>
     Some((1e9 / rate) as i128)
 }
 
-/// Neighbours.
+/// Each row with the one behind it.
 fn pairs(rows: &BTreeMap<i64, Row>) -> impl Iterator<Item = ((i64, Row), (i64, Row))> + '_ {
     let rows = || rows.iter().map(|(number, row)| (*number, *row));
     rows().zip(rows().skip(1))
-}
-
-/// For people.
-pub fn ms(ns: i128) -> f64 {
-    ns as f64 / 1e6
-}
-
-/// A trigger of the session as a number of the train.
-pub fn number(trigger: TriggerIndex) -> Option<i64> {
-    i64::try_from(trigger.0).ok()
 }

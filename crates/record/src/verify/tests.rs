@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A model of honest sessions, and what becomes of them when somebody forges their samples with every checksum right.
+//! A model of honest sessions, and of forged ones in which every checksum is right.
 
 use super::{Finding, Report, Severity, verify};
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -111,9 +111,9 @@ fn rearrived(take: &mut Take, change: impl Fn(usize, &[u64]) -> u64) {
     }
 }
 
-/// The node heard the rhythm in the first frames of a camera without stamps; then the host stood still.
+/// The node found the rhythm in the first frames of a camera without stamps; then the host stood still.
 #[test]
-fn a_rhythm_that_was_heard_stays_heard() {
+fn a_rhythm_that_was_found_stays_found() {
     let mut take = Take::honest(Happens::Nothing, 4);
     rearrived(&mut take, |number, at| at[number] + if number + 2 >= at.len() { 25_000_000 } else { 0 });
     let report = verified(&[&take]);
@@ -183,7 +183,8 @@ fn two_nodes_hear_one_unit() {
     let b = node_b(&honest);
     let report = verified(&[&honest, &b]);
     assert_eq!(report.worst, None, "{}", text(&report));
-    // A session of its own, half an hour later; the same session, of which everything stands a trigger later; another warm-up.
+    // A session of its own, half an hour later; the same session, of which everything stands a trigger later; another
+    // warm-up.
     let other = node_b(&Take::honest(Happens::Nothing, 8));
     let mut later = b.clone();
     forge::half_an_hour(&mut later);
@@ -197,7 +198,7 @@ fn two_nodes_hear_one_unit() {
     }
 }
 
-/// What rests on one source says so, and is not called good.
+/// What rests on one source is reported as unconfirmed, and is not called good.
 #[test]
 fn one_source_alone_is_not_enough() {
     let strip = |take: &mut Take, what: fn(&NodeEvent) -> bool| take.events.retain(|event| !what(event));
@@ -261,7 +262,7 @@ fn exposures_that_rest_on_no_ptp_are_named() {
     at_once.kind = ACTIONS_AT_ONCE.to_owned();
     assert_eq!(of(action, &[at_once]).worst, None);
 
-    // The node names them: then its verdict says it, and `verify` the same from the files.
+    // The node names them: then its verdict lists them, and `verify` finds the same in the files.
     let named = of(action, &[TriggerRow::all(49, 101).event("h0_up".into(), "PTP was Listening", 0)]);
     let [finding] = &named.findings[..] else { panic!("{}", text(&named)) };
     assert_eq!((finding.severity, finding.triggers), (Severity::Unconfirmed, Some((49, 101))));
@@ -270,7 +271,8 @@ fn exposures_that_rest_on_no_ptp_are_named() {
     assert_eq!(verdict.status, Status::Unconfirmed);
 }
 
-/// Imported images have no clocks: what is said of them rests on their files' names, and no header makes images of frames.
+/// Imported images have no clocks: what is said of them rests on their files' names, and no header makes images of
+/// frames.
 #[test]
 fn imports_rest_on_names() {
     let mut take = Take::honest(Happens::Nothing, 5);

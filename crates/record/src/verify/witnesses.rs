@@ -1,58 +1,30 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whether each frame is its trigger's: what its sources say, heard from the raw samples (`docs/design/recording.md`, V1 to
-//! V8).
+//! Whether each frame is of its trigger: judged again from the raw samples (`docs/design/recording.md`, V1 to V8).
 //!
 //! Frames in a row whose ids and stamps go on as their triggers do are judged together, in **parts**. Of each part the
-//! counter (ids) and the clock (stamps, by the recorded readings) confirm its triggers, contradict them, or say nothing;
+//! counter (ids) and the clock (stamps, by the recorded readings) confirm its triggers, contradict them, or do neither;
 //! arrivals refute what would have come too early, and decide between the two where they are in time.
 
 use super::explained::Explained;
+use super::findings::{Notes, Severity};
+use super::frame::{Frame, Seen, Times, range_of, skipped};
 use super::header::severity;
-use super::readings::Readings;
+use super::readings::{HostTime, Readings};
 use super::rhythm;
-use super::rows::{Late, Rows, Wrong, range_of};
-use super::table::{Table, ms, note_readings, number};
-use super::{Notes, Severity};
-use crate::base::ids::{CameraId, TriggerIndex};
+use super::rows::{Late, Rows, Wrong, ms};
+use super::table::{Table, note_readings};
+use crate::base::ids::CameraId;
 use crate::layout::WarmUp;
-use crate::matcher::block_ids::BlockIds;
 use crate::reader::RecordingReader;
 use std::collections::BTreeMap;
 
-/// What a frame itself says of its instant.
-#[derive(Debug, Clone, Copy)]
-pub struct Seen {
-    /// Block id.
-    pub block: u64,
-    /// Camera clock, ns; 0 without a timestamp.
-    pub camera_ns: u64,
-    /// Arrival, host clock, ns.
-    pub host_ns: u64,
-}
-
-/// By trigger.
-pub type Times = BTreeMap<u64, Seen>;
-
-/// A frame with its trigger's number (negative in the warm-up), and when that trigger was fired, HSU clock, ns.
-#[derive(Debug, Clone, Copy)]
-pub struct Frame {
-    /// The trigger's number.
-    pub number: i64,
-    /// When it was fired.
-    pub hsu_ns: i128,
-    /// What the frame says.
-    pub seen: Seen,
-}
-
-/// Frames that are judged together, at least; with the rest of them at the end fewer than twice as many.
+/// Frames of a part, at least; the last part of a row has fewer than twice as many.
 const PART: usize = 64;
-/// So few frames in a row may have a wrong id or stamp, if those on both sides leave no other triggers for them.
+/// Most frames in a row that may have a wrong id or stamp, if those on both sides leave no other triggers for them.
 const PASSING: usize = 8;
-/// Rates of a camera's clock and the HSU's differ by one in so many at most.
+/// Reciprocal of the largest relative difference between the rates of a camera's clock and the HSU's.
 const RATE: i128 = 1_600;
-/// 16-bit ids repeat after so many steps.
-const CYCLE: i64 = 65_535;
-/// Frames that are all late for so long, and so many, are no host that stood still, ns.
+/// Time for which a host can stand still, ns: frames that are all late for longer are of other triggers.
 const LATE_NS: i128 = 2_000_000_000;
 
 /// A camera's frames and clocks.
@@ -67,8 +39,8 @@ struct Camera<'a> {
     delay_ns: Option<i128>,
 }
 
-/// What a source says of the triggers that frames are recorded under.
-type Says = Option<bool>;
+/// Whether a source confirms the triggers that frames are recorded under; `None` where it is no evidence.
+type Confirms = Option<bool>;
 
 /// Frames that are judged together.
 struct Part<'a> {
@@ -77,10 +49,10 @@ struct Part<'a> {
     begins: bool,
 }
 
-/// Which source contradicts.
-struct Told {
-    counter: Says,
-    clock: Says,
+/// What each source shows of a part.
+struct Evidence {
+    counter: Confirms,
+    clock: Confirms,
     /// How far ids went beyond triggers.
     skipped: Option<i64>,
     /// How far stamps lie from where they should, ns.
@@ -98,7 +70,8 @@ pub fn check(recording: &RecordingReader, times: &[Times], whole: bool, notes: &
         return;
     }
     let Some(table) = Table::of(recording, notes) else {
-        let message = "neither its header nor a trigger table state when triggers were fired: of all frames only the ids say which trigger they are of";
+        let message = "neither its header nor a trigger table state when triggers were fired: only the ids show which \
+            trigger frames are of";
         return notes.add(Severity::Unconfirmed, None, None, None, message);
     };
     table.check(recording, whole, notes);
@@ -107,7 +80,7 @@ pub fn check(recording: &RecordingReader, times: &[Times], whole: bool, notes: &
         let Some(explained) = Explained::of(recording, place, id, whole) else { continue };
         let samples = recording.clock_samples.iter().filter(|sample| sample.camera.as_ref() == Some(id));
         let frames = times.iter().filter_map(|(&trigger, &seen)| {
-            let number = number(TriggerIndex(trigger))?;
+            let number = i64::try_from(trigger).ok()?;
             Some(Frame { number, hsu_ns: table.fired_ns(number)?, seen })
         });
         let frames: Vec<Frame> = frames.collect();
@@ -138,7 +111,7 @@ fn most_stamped<'a>(seen: impl Iterator<Item = &'a Seen>) -> bool {
     stamped * 2 > all
 }
 
-/// What was seen of a camera in the warm-up, in the order of arrival.
+/// The frames of a camera in the warm-up, in the order of arrival.
 fn warm_up_of(recording: &RecordingReader, id: &CameraId) -> Vec<Seen> {
     let own = recording.events.iter().filter(|event| event.camera.as_ref() == Some(id));
     let frame = |sample| match sample {
@@ -154,7 +127,7 @@ impl Camera<'_> {
     fn note_untimed(&self, times: &Times, timed: usize, notes: &mut Notes) {
         if timed < times.len() {
             let message = format!(
-                "{} frames are of triggers whose time is not known: only their ids say which trigger they are of",
+                "{} frames are of triggers whose time is not known: only their ids show which trigger they are of",
                 times.len() - timed
             );
             notes.add(Severity::Unconfirmed, None, Some(self.id), None, message);
@@ -166,7 +139,7 @@ impl Camera<'_> {
         let Some(range) = range_of(&recorded) else { return };
         if let Some((at, by)) = self.readings.settings().next().filter(|_| !self.explained.clock_set()) {
             let message = format!(
-                "its clock was set by {:.3} ms at {at} ns of the host's clock, by its readings, and nothing says so",
+                "its clock was set by {:.3} ms at {at} ns of the host's clock, by its readings, and no event states it",
                 ms(by)
             );
             notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
@@ -176,8 +149,8 @@ impl Camera<'_> {
             && !self.table.readings.epochs.is_empty()
             && !self.explained.has_no_clock()
         {
-            let message = "its clock was never read, and no record says that it cannot be: what its timestamps are of rests \
-                           on the warm-up alone";
+            let message = "its clock was never read, and no event states that it cannot be read: its timestamps rest \
+                on the warm-up alone";
             notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
         }
         self.check_order(&recorded, notes);
@@ -192,38 +165,37 @@ impl Camera<'_> {
         self.judge(&frames, began, notes);
     }
 
-    /// When a trigger was fired, host clock, and what is open, ns.
-    fn fired(&self, frame: &Frame) -> Option<(i128, i128)> {
-        let found = self.table.host_time(frame.hsu_ns, frame.number)?;
-        Some((found.ns, found.open_ns))
+    /// When a trigger was fired, host clock.
+    fn fired(&self, frame: &Frame) -> Option<HostTime> {
+        self.table.host_time(frame.hsu_ns, frame.number)
     }
 
     /// From a trigger to the frame's arrival, and what is open, ns.
     fn arrived_after(&self, frame: &Frame) -> Option<(i128, i128)> {
-        let (fired, open) = self.fired(frame)?;
-        Some((i128::from(frame.seen.host_ns) - fired, open))
+        let fired = self.fired(frame)?;
+        Some((i128::from(frame.seen.host_ns) - fired.ns, fired.open_ns))
     }
 
     /// From a trigger to the frame's stamp, by the first readings that were in force, ns.
     fn stamped_after(&self, frame: &Frame) -> Option<i128> {
-        let (fired, open) = self.fired(frame)?;
+        let fired = self.fired(frame)?;
         let camera_ns = i128::from(frame.seen.camera_ns);
         let mut found = self.readings.host_times(camera_ns, frame.seen.host_ns.into());
-        let found = found.find(|found| found.open_ns + open < self.table.period_ns / 4);
-        found.filter(|_| camera_ns != 0).map(|found| found.ns - fired)
+        let found = found.find(|found| found.open_ns + fired.open_ns < self.table.period_ns / 4);
+        found.filter(|_| camera_ns != 0).map(|found| found.ns - fired.ns)
     }
 
-    /// How far the middle of frames' stamps lies from the usual delay beyond what the readings leave open, ns; `None` where
-    /// the readings say nothing.
+    /// How far the middle of frames' stamps lies from the usual delay beyond what the readings leave open, ns; `None`
+    /// where the readings are no evidence.
     fn off_by_readings(&self, frames: &[Frame]) -> Option<i128> {
         let usual = self.delay_ns?;
         let off = |frame: &Frame| {
-            let (fired, open_hsu) = self.fired(frame)?;
+            let fired = self.fired(frame)?;
             let camera_ns = i128::from(frame.seen.camera_ns);
             let found = self.readings.host_times(camera_ns, frame.seen.host_ns.into());
             let off = found.filter_map(|found| {
-                let open = found.open_ns + open_hsu;
-                let off = found.ns - fired - usual;
+                let open = found.open_ns + fired.open_ns;
+                let off = found.ns - fired.ns - usual;
                 (open < self.table.period_ns / 2).then_some(off.signum() * (off.abs() - open).max(0))
             });
             off.min_by_key(|ns| ns.abs()).filter(|_| camera_ns != 0)
@@ -234,7 +206,7 @@ impl Camera<'_> {
     /// Frames of one camera arrive in the order of their triggers, and none before its own.
     fn check_order(&self, frames: &[Frame], notes: &mut Notes) {
         let slack = self.table.period_ns / 8;
-        // So long after everything else no frame is taken any more, ns.
+        // Time after everything else behind which no frame is recorded any more, ns.
         const BEHIND_NS: i128 = 10_000_000_000;
         let (mut early, mut back, mut behind) = (Rows::default(), Rows::default(), Rows::default());
         let mut latest = 0;
@@ -254,32 +226,24 @@ impl Camera<'_> {
                 behind.add(frame.number, arrived - self.table.last_ns);
             }
         }
-        for (range, by) in behind.0 {
-            let message = format!(
-                "not the frames of this session: arrived {:.3} ms after everything else was recorded",
-                ms(by)
-            );
-            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
-        }
-        for (range, way) in early.0 {
-            let message = format!(
-                "not the frames of these triggers: arrived {:.3} ms before the trigger was fired",
-                ms(-way)
-            );
-            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
-        }
-        for (range, by) in back.0 {
-            let message = format!(
-                "arrived {:.3} ms before a frame of an earlier trigger: one of them is not of its trigger",
-                ms(-by)
-            );
-            notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
-        }
+        behind.note(Some(self.id), notes, |by| {
+            format!("not the frames of this session: arrived {by:.3} ms after everything else was recorded")
+        });
+        early.note(Some(self.id), notes, |way| {
+            let before = -way;
+            format!("not the frames of these triggers: arrived {before:.3} ms before the trigger was fired")
+        });
+        back.note(Some(self.id), notes, |by| {
+            let before = -by;
+            format!(
+                "arrived {before:.3} ms before a frame of an earlier trigger: one of them is not of its trigger"
+            )
+        });
     }
 
-    /// The beginning: a stamp lies between trigger and arrival, and the rhythm of the warm-up tells which trigger it is. Where
-    /// it is not heard, that a camera stamps within a period is assumed.
-    fn check_place(&self, reference: &[Frame], heard: bool, range: (u64, u64), notes: &mut Notes) {
+    /// The beginning: a stamp lies between trigger and arrival, and the rhythm of the warm-up shows which trigger it
+    /// is. Where it is not found, it is assumed that a camera stamps within a period.
+    fn check_place(&self, reference: &[Frame], found: bool, range: (u64, u64), notes: &mut Notes) {
         let period = self.table.period_ns;
         let arrived =
             reference.iter().filter_map(|frame| self.arrived_after(frame)).map(|(way, _)| way).min();
@@ -287,8 +251,8 @@ impl Camera<'_> {
             let slack = period / 4;
             if delay < -slack || arrived.is_some_and(|way| delay > way + slack) {
                 let message = format!(
-                    "its timestamps are not of the clock whose readings are recorded: by them they lie {:.3} ms after the \
-                     triggers{}",
+                    "its timestamps are not of the clock whose readings are recorded: by them they lie {:.3} ms after \
+                     the triggers{}",
                     ms(delay),
                     arrived.map_or(String::new(), |way| format!(
                         ", and frames arrive {:.3} ms after them",
@@ -296,30 +260,30 @@ impl Camera<'_> {
                     ))
                 );
                 notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
-            } else if !heard && delay > period * 7 / 8 {
+            } else if !found && delay > period * 7 / 8 {
                 let message = format!(
-                    "its frames were exposed {:.3} ms after their triggers, by the recorded readings of both clocks: not \
-                     the frames of these triggers",
+                    "its frames were exposed {:.3} ms after their triggers, by the recorded readings of both clocks: \
+                     not the frames of these triggers",
                     ms(delay)
                 );
                 notes.add(Severity::Corrupt, None, Some(self.id), Some(range), message);
             }
         }
-        if !heard {
+        if !found {
             let message = if self.delay_ns.is_some() {
-                "the rhythm of the warm-up is not heard in its frames: its place in the train rests on its clock, and on the \
-                 assumption that it stamps and sends within a period of a trigger"
+                "the rhythm of the warm-up is not found in its frames: its place in the train rests on its clock, and \
+                 on the assumption that it stamps and sends within a period of a trigger"
             } else {
-                "the rhythm of the warm-up is not heard in its frames, and its clock was not read: its place in the train \
-                 rests on its ids alone"
+                "the rhythm of the warm-up is not found in its frames, and its clock was not read: its place in the \
+                 train rests on its ids alone"
             };
             notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
         }
     }
 
-    /// Whether two frames follow each other by the camera's clock as their triggers do by the HSU's; `None` where that is
-    /// not to be told.
-    fn follows(&self, before: &Frame, frame: &Frame) -> Says {
+    /// Whether two frames follow each other by the camera's clock as their triggers do by the HSU's; `None` where that
+    /// cannot be decided.
+    fn follows(&self, before: &Frame, frame: &Frame) -> Confirms {
         let hsu = frame.hsu_ns - before.hsu_ns;
         let allowed = self.table.period_ns / 4 + hsu.abs() / RATE;
         let stamped = before.seen.camera_ns != 0 && frame.seen.camera_ns != 0;
@@ -362,11 +326,11 @@ impl Camera<'_> {
         let (mut counted, mut clocked): (Option<Frame>, Option<Frame>) = (None, None);
         // The quickest way of frames that ids and stamps confirm: arrivals err towards late.
         let mut usual = parts.first().and_then(|first| self.usual_arrival(first.frames));
-        // The same of so many frames in a row that no host stood still for all of them.
+        // The same of more frames in a row than a host can stand still for.
         let mut proven: Option<i128> = None;
         let (mut late, mut wrong, mut single) = (Late::default(), Wrong::default(), Wrong::default());
         for (place, part) in parts.iter().enumerate() {
-            let told = self.told(part, counted, clocked, usual, place == 0);
+            let evidence = self.evidence_of(part, counted, clocked, usual, place == 0);
             let next = parts.get(place + 1).and_then(|next| next.frames.first());
             let enclosed = part.frames.len() <= PASSING
                 && counted.zip(next).is_some_and(|(before, next)| skipped(&before, next) == 0)
@@ -374,11 +338,14 @@ impl Camera<'_> {
             let ends = part.frames.first().zip(part.frames.last());
             let Some((first, last)) = ends else { continue };
             let before = counted.map_or(first.number - 1, |frame| frame.number);
-            let accepted = self.accept(part, &told, before, enclosed, (&mut wrong, &mut single));
-            late.add(part.frames, accepted && told.late_ns.is_some_and(|ns| ns > self.table.period_ns / 2));
+            let accepted = self.accept(part, &evidence, before, enclosed, (&mut wrong, &mut single));
+            late.add(
+                part.frames,
+                accepted && evidence.late_ns.is_some_and(|ns| ns > self.table.period_ns / 2),
+            );
             if accepted {
                 counted = Some(*last);
-                if (told.counter, told.clock) == (Some(true), Some(true)) {
+                if (evidence.counter, evidence.clock) == (Some(true), Some(true)) {
                     let own = self.usual_arrival(part.frames);
                     let early = |(own, proven): (i128, i128)| own - proven < -self.table.period_ns * 3 / 4;
                     if let Some(range) = range_of(part.frames).filter(|_| own.zip(proven).is_some_and(early))
@@ -392,14 +359,15 @@ impl Camera<'_> {
                         proven = own;
                     }
                 }
-                if told.clock != Some(false) || self.explained.clock_set_at(before, first.number) {
+                if evidence.clock != Some(false) || self.explained.clock_set_at(before, first.number) {
                     let stamped = part.frames.iter().rev().find(|frame| frame.seen.camera_ns != 0);
                     clocked = stamped.copied().or(clocked);
                 }
             }
         }
         for range in late.long(LATE_NS, PART) {
-            let message = "all of its frames arrive later than at the beginning by more than half a period: arrivals do not confirm them";
+            let message = "all of its frames arrive later than at the beginning by more than half a period: arrivals \
+                do not confirm them";
             notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
         }
         for (range, message) in wrong.0 {
@@ -419,14 +387,14 @@ impl Camera<'_> {
         ways.get(ways.len() / 16).copied()
     }
 
-    fn told(
+    fn evidence_of(
         &self,
         part: &Part<'_>,
         counted: Option<Frame>,
         clocked: Option<Frame>,
         usual: Option<i128>,
         first: bool,
-    ) -> Told {
+    ) -> Evidence {
         let half = self.table.period_ns / 2;
         let begin = part.frames.first();
         let away = counted
@@ -436,7 +404,7 @@ impl Camera<'_> {
         let counter = match (skip, away) {
             (_, true) => None,
             (Some(skip), false) => Some(skip == 0),
-            // The first part stands where the beginning says.
+            // The place of the first part was checked with the beginning.
             (None, false) => Some(true),
         };
         let off_ns = self.off_by_readings(part.frames);
@@ -447,7 +415,7 @@ impl Camera<'_> {
             (None, false) => None,
         };
         let absolute = off_ns.map(|off| off.abs() <= half);
-        // A stamp that jumps is off, however little the readings leave to be told.
+        // A stamp that jumps is off, even where the readings leave the jump open.
         let set = counted.zip(begin).is_some_and(|(before, begin)| {
             self.explained.clock_set_at(before.number, begin.number)
                 || self.readings.was_set_around(begin.seen.host_ns.into())
@@ -455,35 +423,35 @@ impl Camera<'_> {
         let jumped = relative == Some(false) && !part.begins && !away && !set;
         let clock = match absolute {
             Some(true) if jumped => Some(false),
-            Some(says) => Some(says),
+            Some(near) => Some(near),
             None if away => None,
             None => relative,
         };
         let ways = part.frames.iter().filter_map(|frame| self.arrived_after(frame)).map(|(way, _)| way);
         let late_ns = ways.min().zip(usual).map(|(way, usual)| way - usual);
-        Told { counter, clock, skipped: skip.filter(|_| !away), off_ns, late_ns }
+        Evidence { counter, clock, skipped: skip.filter(|_| !away), off_ns, late_ns }
     }
 
-    /// Whether a part's triggers are told by two sources, or at least by one; what is not becomes a finding.
+    /// Whether a part's triggers are confirmed by two sources, or at least by one; where not, that is a finding.
     fn accept(
         &self,
         part: &Part<'_>,
-        told: &Told,
+        evidence: &Evidence,
         before: i64,
         enclosed: bool,
         (wrong, single): (&mut Wrong, &mut Wrong),
     ) -> bool {
         let half = self.table.period_ns / 2;
         let most = if part.frames.len() <= PASSING { half * 3 / 2 } else { half };
-        let early = told.late_ns.is_some_and(|ns| ns < -half);
-        let in_time = told.late_ns.is_some_and(|ns| (-half..=most).contains(&ns));
+        let early = evidence.late_ns.is_some_and(|ns| ns < -half);
+        let in_time = evidence.late_ns.is_some_and(|ns| (-half..=most).contains(&ns));
         let decided = in_time || (enclosed && !early);
         let Some(begin) = part.frames.first() else { return true };
-        let skip = told.skipped.unwrap_or(0);
+        let skip = evidence.skipped.unwrap_or(0);
         let counts = skip == 0
             || self.explained.counts(before, begin.number, skip)
             || (before < 0 && self.may_have_ignored(before, begin.number, skip));
-        // Of ids that fell behind the other explanation is a clock that went ahead: then frames would come early.
+        // Where ids fell behind, the other explanation is a clock that went ahead: then frames would arrive early.
         let borne_out = if skip < 0 { !early } else { decided };
         let stamps = self.explained.clock_set_at(before, begin.number)
             || part
@@ -491,7 +459,7 @@ impl Camera<'_> {
                 .iter()
                 .filter(|frame| frame.seen.camera_ns != 0)
                 .all(|frame| self.explained.stamp(frame.number));
-        let (confirmed, possible) = match (told.counter, told.clock) {
+        let (confirmed, possible) = match (evidence.counter, evidence.clock) {
             (Some(true), Some(true)) => (true, true),
             (Some(true), Some(false)) => (stamps && decided, stamps && !early),
             (Some(false), Some(true)) => (counts && borne_out, counts && borne_out),
@@ -504,46 +472,45 @@ impl Camera<'_> {
         let Some(range) = range_of(part.frames) else { return possible };
         if possible {
             if !confirmed {
-                let source = if told.clock == Some(true) { "their timestamps" } else { "their ids" };
-                single.add(range, || format!("of these frames {source} alone say which trigger they are of"));
+                let source = if evidence.clock == Some(true) { "their timestamps" } else { "their ids" };
+                single.add(range, || format!("only {source} show which trigger these frames are of"));
             }
             return true;
         }
-        wrong.add(range, || self.message(told, counts, stamps));
+        wrong.add(range, || self.message(evidence, counts, stamps));
         false
     }
 
-    /// Of triggers of the warm-up, and of those before Record, no gap records tell: as many as lie between may have been
-    /// ignored.
+    /// Triggers of the warm-up, and those before Record, have no gap records: the camera may have ignored any of them.
     fn may_have_ignored(&self, before: i64, number: i64, skip: i64) -> bool {
         const UNRECORDED: i64 = 64;
         let between = number.saturating_sub(before).saturating_sub(1);
         between > UNRECORDED || (skip < 0 && between.saturating_add(skip) >= 0)
     }
 
-    fn message(&self, told: &Told, counts: bool, stamps: bool) -> String {
+    fn message(&self, evidence: &Evidence, counts: bool, stamps: bool) -> String {
         let off = |ns: Option<i128>| ns.map_or("unknown".to_owned(), |ns| format!("{:.3} ms", ms(ns)));
-        let ids = match told.skipped {
+        let ids = match evidence.skipped {
             None => "count anew".to_owned(),
             Some(0) => "go on".to_owned(),
             Some(skip) if counts => format!("went {skip} further than triggers"),
-            Some(skip) => format!("went {skip} further than triggers, and no record says why"),
+            Some(skip) => format!("went {skip} further than triggers, and no record states why"),
         };
-        let clock = match told.clock {
+        let clock = match evidence.clock {
             Some(true) => "agree".to_owned(),
-            Some(false) if stamps => format!("are off by {}", off(told.off_ns)),
-            Some(false) => format!("are off by {}, and no record says why", off(told.off_ns)),
-            None => "say nothing".to_owned(),
+            Some(false) if stamps => format!("are off by {}", off(evidence.off_ns)),
+            Some(false) => format!("are off by {}, and no record states why", off(evidence.off_ns)),
+            None => "cannot be compared".to_owned(),
         };
         format!(
-            "not the frames of these triggers: their ids {ids}; their timestamps {clock}; the quickest arrives {} later than \
-             usual; expected two sources to agree, within half a period, {:.3} ms",
-            off(told.late_ns),
+            "not the frames of these triggers: their ids {ids}; their timestamps {clock}; the quickest arrives {} \
+             later than usual; expected two sources to agree, within half a period, {:.3} ms",
+            off(evidence.late_ns),
             ms(self.table.period_ns / 2)
         )
     }
 
-    /// A camera that stamps its frames, and some without a stamp of which nothing says so.
+    /// Frames without a stamp, of a camera that stamps the others, where no event names them.
     fn note_unstamped(&self, frames: &[Frame], notes: &mut Notes) {
         let without = frames.iter().filter(|frame| {
             self.stamped
@@ -554,23 +521,10 @@ impl Camera<'_> {
         let mut triggers = Rows::default();
         without.for_each(|frame| triggers.add(frame.number, 0));
         for (range, _) in triggers.0 {
-            let message = "have no timestamp, and no record says why; the camera's other frames have";
+            let message = "have no timestamp, and no record states why; the camera's other frames have";
             notes.add(Severity::Unconfirmed, None, Some(self.id), Some(range), message);
         }
     }
-}
-
-/// How many more ids than triggers lie between two frames.
-pub fn skipped(before: &Frame, frame: &Frame) -> i64 {
-    let (from, to) = (before.seen.block, frame.seen.block);
-    let triggers = frame.number.saturating_sub(before.number);
-    let narrow = CYCLE as u64;
-    if from > narrow || to > narrow {
-        return BlockIds::default().between(from, to).saturating_sub(triggers);
-    }
-    // However many triggers lie between: 16-bit ids begin anew.
-    let more = (to as i64 - from as i64 - triggers % CYCLE).rem_euclid(CYCLE);
-    if more > CYCLE / 2 { more - CYCLE } else { more }
 }
 
 fn middle(mut all: Vec<i128>) -> Option<i128> {

@@ -140,18 +140,18 @@ fn without_direct_writes_it_is_the_same() {
     }
 }
 
-/// Writes wait until the test lets them, where there is a gate, and are told, where somebody listens.
+/// Writes wait for the gate, where there is one, and are reported on the channel, where there is one.
 struct GatedStore {
     file: DirectFile,
     gate: Option<Receiver<()>>,
-    told: Option<Sender<()>>,
+    written: Option<Sender<()>>,
 }
 
 impl Store for GatedStore {
     fn write_at(&mut self, offset: u64, parts: &mut [IoSlice<'_>]) -> io::Result<()> {
-        // Errors mean that the gate stays open, and that nobody listens any more.
+        // Errors mean that the gate stays open, or that the test has dropped the channel.
         let _ = self.gate.as_ref().map(Receiver::recv);
-        let _ = self.told.as_ref().map(|told| told.send(()));
+        let _ = self.written.as_ref().map(|written| written.send(()));
         self.file.write_at(offset, parts)
     }
 
@@ -170,7 +170,7 @@ fn a_block_comes_back_when_the_disk_has_it_and_not_before() {
     let path = dir.path().join("node-a");
     let (open_gate, gate) = unbounded();
     let open = move |path: &Path| -> io::Result<Box<dyn Store>> {
-        Ok(Box::new(GatedStore { file: DirectFile::create(path)?, gate: Some(gate.clone()), told: None }))
+        Ok(Box::new(GatedStore { file: DirectFile::create(path)?, gate: Some(gate.clone()), written: None }))
     };
     open_gate.send(()).expect("the header may pass");
     let options = WriterOptions { sync_interval: Duration::from_secs(1), ..options(1 << 30) };
@@ -203,11 +203,11 @@ fn a_third_segment_waits_until_the_first_is_closed() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let path = dir.path().join("node-a");
     let (open_gate, gate) = unbounded();
-    let (told, third) = unbounded();
+    let (written, third) = unbounded();
     let open = move |path: &Path| -> io::Result<Box<dyn Store>> {
         let is = |number: &str| path.to_string_lossy().contains(number);
-        let (gate, told) = (is("-000").then(|| gate.clone()), is("-002").then(|| told.clone()));
-        Ok(Box::new(GatedStore { file: DirectFile::create(path)?, gate, told }))
+        let (gate, written) = (is("-000").then(|| gate.clone()), is("-002").then(|| written.clone()));
+        Ok(Box::new(GatedStore { file: DirectFile::create(path)?, gate, written }))
     };
     open_gate.send(()).expect("the first segment's header may pass");
     // Room for one chunk: the first segment is closed before its queue is full, and nothing but its end is waited for.

@@ -38,10 +38,10 @@ impl Recording {
         }
     }
 
-    /// What the segment lost waits for the rescue, and a word that it was the disk: even where no frame is lost,
-    /// nobody shall take the open segment for a cut one.
+    /// What the segment lost waits for the rescue, with an event that the disk refused it: even where no frame is lost,
+    /// the open segment must not be taken for a cut one.
     fn give_up(&mut self, entry: OpenSegment) {
-        let event = NodeEvent::segment_given_up(entry.segment.number(), self.time_ns);
+        let event = NodeEvent::segment_given_up(entry.segment.number, self.time_ns);
         self.lose(entry.abandon());
         let (channel, sequence, time_ns) = (JsonChannel::Events, self.newest().0, self.time_ns);
         let written = self.small(&event).ok();

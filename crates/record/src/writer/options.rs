@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-/// Sizes and intervals.
+/// Sizes and intervals of the segments of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WriterOptions {
     /// A segment is closed at the first trigger after this many bytes.

@@ -77,7 +77,7 @@ impl OpenSegment {
 
     /// Learns what the disk has done.
     pub fn poll(&mut self, latencies: &mut Latencies) -> io::Result<()> {
-        let result = self.segment.poll();
+        let result = self.segment.window().poll();
         self.observe(latencies);
         result
     }
@@ -98,7 +98,7 @@ impl OpenSegment {
     /// Commits, and returns when nothing is under way any more.
     pub fn settle(&mut self, latencies: &mut Latencies) -> io::Result<()> {
         self.commit(latencies)?;
-        let result = self.segment.settle();
+        let result = self.segment.window().settle();
         self.observe(latencies);
         result
     }
@@ -106,12 +106,13 @@ impl OpenSegment {
     /// Commits, and asks for an `fdatasync`.
     pub fn request_sync(&mut self, latencies: &mut Latencies) -> io::Result<()> {
         self.commit(latencies)?;
-        self.segment.request_sync()
+        self.segment.window().request_sync()
     }
 
     /// Forgets what is on the medium, and notes how long it took.
     pub fn observe(&mut self, latencies: &mut Latencies) {
-        for milestone in self.segment.milestones() {
+        let milestones: Vec<_> = self.segment.window().milestones.drain(..).collect();
+        for milestone in milestones {
             let reached = self.groups.iter_mut().take_while(|group| group.end <= milestone.end);
             for group in reached.filter(|group| milestone.durable || !group.written) {
                 for record in &group.records {
@@ -129,8 +130,8 @@ impl OpenSegment {
     }
 
     /// Gives the segment up; returns what it lost.
-    pub fn abandon(mut self) -> Vec<Unwritten> {
-        let kept = self.segment.abandon();
+    pub fn abandon(self) -> Vec<Unwritten> {
+        let kept = self.segment.window().abandon();
         let lost = self.groups.into_iter().filter(|group| group.end > kept);
         lost.flat_map(|group| group.records).chain(self.open).collect()
     }
@@ -166,7 +167,7 @@ impl ClosingSegment {
 /// A store, and the space set aside for it.
 pub(super) type Prepared = (Box<dyn Store>, u64);
 
-/// The next segment's file, made ready on a thread of its own under a name that no reader looks at.
+/// The next segment's file, prepared on a thread of its own under a name that no reader takes for a segment.
 pub(super) struct NextSegment {
     number: u32,
     path: PathBuf,

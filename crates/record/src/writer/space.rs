@@ -13,18 +13,18 @@ const MIB: u64 = 1 << 20;
 const ACCOUNTING_BYTES: u64 = 16 << 20;
 /// Disk space that is set aside for a segment at most.
 const MOST_AHEAD: u64 = 4 << 30;
-/// The free space is looked at so often while as much as the reserve is written, at least.
-const LOOKS: u64 = 4;
+/// Checks of the free space while as many bytes as the reserve are written, at least.
+const CHECKS: u64 = 4;
 
 impl Recording {
-    /// Whether so much was written since the last look that a small reserve may be used up before the next sync.
-    pub(super) fn is_look_due(&self) -> bool {
-        self.options.reserve_bytes > 0 && self.unlooked >= self.options.reserve_bytes / LOOKS
+    /// Whether enough was written since the last check that a small reserve may be used up before the next sync.
+    pub(super) fn is_check_due(&self) -> bool {
+        self.options.reserve_bytes > 0 && self.unchecked >= self.options.reserve_bytes / CHECKS
     }
 
     /// Stops the recording of frames when the reserve is reached.
-    pub(super) fn look_at_space(&mut self) -> Result<(), RecordError> {
-        self.unlooked = 0;
+    pub(super) fn check_free_space(&mut self) -> Result<(), RecordError> {
+        self.unchecked = 0;
         // What is set aside for us counts as free.
         let free = free_bytes(&self.dir).unwrap_or(u64::MAX).saturating_add(self.set_aside());
         if free < self.options.reserve_bytes && self.stopped.is_none() {
@@ -57,7 +57,7 @@ impl Recording {
     }
 }
 
-/// Refuses a session of so many bytes of frames if it would not fit.
+/// Refuses a session of `bytes` bytes of frames if it would not fit.
 pub(super) fn check_space(dir: &Path, bytes: u64, options: &WriterOptions) -> Result<(), RecordError> {
     let free = free_bytes(dir).map_err(|source| RecordError::Disk { path: dir.to_owned(), source })?;
     let needed = bytes.saturating_add(ACCOUNTING_BYTES);

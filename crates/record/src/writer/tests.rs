@@ -58,7 +58,7 @@ impl Recording {
         open_store: OpenStore,
     ) -> Result<Self, RecordError> {
         let bytes = header.expected_bytes().unwrap_or(0);
-        Self::create_sized(dir, header, options, bytes, VERSION, open_store)
+        Self::create_for(dir, header, options, bytes, VERSION, open_store)
     }
 }
 
@@ -187,8 +187,8 @@ proptest! {
         left.store(1 << 20, Ordering::Relaxed);
         let verdict = match recording.finish(end(triggers)) {
             Ok(verdict) => verdict,
-            // The disk was full just while a split segment got its index, behind its last frame: the caller is
-            // told, and all frames that the accounting counts are readable.
+            // The disk was full just while a split segment got its index, behind its last frame: the caller gets
+            // the error, and all frames that the accounting counts are readable.
             Err(RecordError::Unfinished { verdict, .. }) => {
                 prop_assert_eq!(readable_frames(&path, triggers), verdict.frames());
                 return Ok(());
@@ -392,7 +392,7 @@ fn killed_it_reads_up_to_the_last_chunk() {
         recording.frame(0, &meta, &message).expect("recorded");
     }
     // The second chunk is under way; wait for it, as a kernel would finish it.
-    recording.segments[0].segment.settle().expect("written");
+    recording.segments[0].segment.window().settle().expect("written");
     std::mem::forget(recording);
     let length = std::fs::metadata(path.join("segment-000.mcap")).expect("a segment").len();
     assert_eq!(length % 4096, 0, "whole blocks");

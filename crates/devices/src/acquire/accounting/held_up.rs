@@ -11,7 +11,7 @@ impl Accounting {
     /// (`early`), all other cameras must have sent a frame of this time or later.
     pub(super) fn infer_trigger(&mut self, camera: usize, seen: &Sighting, early: bool) {
         let Some((number, hsu_ns)) = self.lanes[camera].matcher.claim(seen) else { return };
-        if self.table.is_heard(number) || self.table.is_agreed(number) {
+        if self.table.has_report(number) || self.table.is_agreed(number) {
             return;
         }
         let period_ns = i128::from(self.options.period_ns);

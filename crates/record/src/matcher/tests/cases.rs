@@ -42,7 +42,7 @@ fn all_right(outcome: Outcome) {
     assert_eq!((outcome.right, outcome.wrong, outcome.unconfirmed), (outcome.frames, 0, 0), "{outcome:?}");
 }
 
-/// A glitch, or a leader that somebody forged: that frame's id and arrival are right, and so are all others.
+/// A glitch, or a forged leader: that frame's id and arrival are right, and so are all others.
 #[test]
 fn one_wrong_stamp_moves_no_frame() {
     let wrong: [fn(u64) -> u64; 5] = [
@@ -90,8 +90,8 @@ fn a_camera_that_stamps_late_is_not_a_trigger_off() {
     }
 }
 
-/// The link to the HSU stands still in the warm-up, for longer than frames can wait: they are given up, and once the reports
-/// are there the rhythm is heard, and every frame from there on is filed.
+/// The link to the HSU stands still in the warm-up, for longer than frames can wait: they are given up, and once the
+/// reports are there the rhythm is found, and every frame from there on is filed.
 #[test]
 fn reports_of_the_warm_up_may_come_late() {
     for seed in 0..50 {
@@ -246,8 +246,8 @@ fn a_missed_trigger_0_costs_that_frame_alone() {
     }
 }
 
-/// A camera that wakes up late, even behind the warm-up: all is kept after the waking, since others of its make say what
-/// they take from a trigger.
+/// A camera that wakes up late, even behind the warm-up: all is kept after the waking, since others of its make show
+/// how long they take from a trigger.
 #[test]
 fn a_camera_that_wakes_late_keeps_what_comes_then() {
     for seed in 0..40 {

@@ -33,12 +33,10 @@ impl Random {
     }
 }
 
-/// A camera's habits.
+/// How a simulated camera numbers, stamps and sends its frames.
 #[derive(Debug, Clone, Copy)]
 pub struct Traits {
-    /// Ids of 64 bits.
     pub wide: bool,
-    /// Frames carry timestamps.
     pub stamps: bool,
     /// Its clock can be read.
     pub clock: bool,
@@ -50,10 +48,9 @@ pub struct Traits {
     pub jitter: u64,
     /// The host takes packets off the socket so far apart, ns; 0: at once.
     pub batch_ns: u64,
-    /// Whether anything goes wrong.
     pub faults: bool,
-    /// The host is busy: most frames are taken up at once, a third within a period, some later. Faults keep a distance of
-    /// twelve triggers then, as those of the laboratory's plans do.
+    /// The host is busy: most frames are taken up at once, a third within a period, some later. Faults keep a distance
+    /// of twelve triggers then, as those of the laboratory's plans do.
     pub busy: bool,
     /// For spells of some dozen frames the host takes each up when it gets to it, within two and a half periods.
     pub spells: bool,
@@ -84,11 +81,11 @@ pub struct Report {
     pub hsu_ns: u64,
     /// Whether the HSU flags it as late.
     pub late: bool,
-    /// When the link's thread heard it, HSU clock, ns.
+    /// When the link's thread received it, HSU clock, ns.
     pub heard_ns: u64,
 }
 
-/// What reaches the node.
+/// Something that reaches the node: a report, a frame or a reading.
 #[derive(Debug, Clone, Copy)]
 pub enum Arrives {
     Report(Report),
@@ -233,8 +230,8 @@ impl Camera {
             }
             // Its clock is set: anyhow, or by whole periods.
             7 => {
-                // Where arrivals do not tell one trigger from the next, or hardly, a clock that is set by a whole period and a camera that
-                // ignores a trigger agree with each other.
+                // Where arrivals do not tell one trigger from the next, or hardly, a clock that is set by a whole
+                // period and a camera that ignores a trigger agree with each other.
                 let mute = self.traits.batch_ns * 4 > self.period_ns * 3 || self.traits.busy;
                 let by = match self.random.below(3) {
                     0 if !mute => i128::from(self.period_ns) * (1 + self.random.below(3) as i128),
@@ -398,7 +395,7 @@ impl History {
         Self { traits, period_ns, warm_up: warm_up as u32, calm_start, link_stands, clocks, ppm, arrivals }
     }
 
-    /// A reading of the camera's clock at an HSU time, taking so long there and back.
+    /// A reading of the camera's clock at an HSU time, with its round trip.
     pub fn read(&self, hsu_ns: u64, there_ns: u64, back_ns: u64) -> Exchange {
         let host = |ns: u64| (i128::from(ns) + HOST_MINUS_HSU_NS) as u64;
         let clock_ns = self.clocks.iter().rev().find(|(from, _)| *from <= hsu_ns).map_or(0, |(_, ns)| *ns);

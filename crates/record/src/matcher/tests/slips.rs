@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Histories in which a source slips by whole periods: the counter, the timestamps, the camera's clock, the HSU's times.
+//! Histories in which a source slips by whole periods: the counter, the timestamps, the camera's clock, the HSU's
+//! times.
 
 use super::history::{Arrives, HOST_MINUS_HSU_NS, History, Random, Report, Traits};
 use crate::base::ids::BlockId;
 
-/// What slips.
+/// The source that slips in a test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Source {
-    /// Block ids.
     Counter,
     /// Timestamps of frames; readings of the clock stay right.
     Stamps,
@@ -34,7 +34,7 @@ pub enum Before {
     Ignored(i64),
 }
 
-/// What stands still.
+/// The part of the host that stands still.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stall {
     /// The thread that receives the camera's packets: they get their time of arrival late.
@@ -43,7 +43,6 @@ pub enum Stall {
     Recorder,
     /// The thread of the HSU's link.
     Link,
-    /// The process.
     All,
 }
 
@@ -57,13 +56,13 @@ pub struct Plan {
 const STALL_MAX_NS: u64 = 300_000_000;
 
 impl Plan {
-    /// How many periods counter and clock are off, both alike: then they agree with each other, and only the arrivals can
-    /// tell. A camera that ignored triggers is behind by its counter.
+    /// How many periods counter and clock are off, both alike: then they agree with each other, and only the arrivals
+    /// can tell. A camera that ignored triggers is behind by its counter.
     pub fn alike(&self) -> i64 {
         let from = self.slips.first().map_or(0, |slip| slip.from);
         let behind = match self.before {
             Before::Ignored(count) => count.min(from + 8),
-            // Of what is lost before the first frame nobody knows.
+            // What is lost before the first frame cannot be known.
             Before::Lost(count) if from - count <= -8 => from + 8,
             _ => 0,
         };

@@ -5,7 +5,7 @@ use super::take::{CAMERAS, Frames, Happens, PERIOD, Take};
 use crate::base::ids::TriggerIndex;
 use crate::layout::{GapCause, TriggerRecord, WarmUp};
 use crate::verify::Severity;
-use crate::verify::witnesses::Seen;
+use crate::verify::frame::Seen;
 use hsu_firmware_proto::TriggerFlags;
 use std::ops::Range;
 
@@ -59,7 +59,7 @@ fn relabel(frames: &mut Frames, triggers: &Range<i64>, by: i64) {
     }
 }
 
-/// All triggers and frames of a recording stand so many later.
+/// Moves all triggers and frames of a recording by a number of triggers.
 pub fn relabel_all(take: &mut Take, by: i64) {
     take.frames.iter_mut().for_each(|frames| relabel(frames, &(0..i64::MAX), by));
     let mut rows = take.rows.clone();
@@ -164,7 +164,8 @@ fn of_frames(all: &mut Vec<Forgery>) {
                 frames(take, camera, &own, |seen| seen.host_ns = moved(seen.host_ns, -3_000_000_000))
             };
             add(format!("arrivals 3 s early, {duration}"), camera, &triggers, Box::new(forge));
-            // Ids and stamps say so, and the labels are those of the next trigger: it came before that was fired, or earlier than any.
+            // Ids and stamps agree with it, and the labels are those of the next trigger: it came before that was
+            // fired, or earlier than any.
             let own = triggers.clone();
             let forge = move |take: &mut Take| {
                 frames(take, camera, &own, |seen| {
@@ -215,7 +216,8 @@ fn of_frames(all: &mut Vec<Forgery>) {
             add(format!("two cameras exchanged, {duration}"), 0, &triggers, Box::new(swapped));
         }
     }
-    // Ids do not say which camera they are of: frames, warm-up and all, under each other's names; the clocks' readings stay.
+    // Ids do not name their camera: frames, warm-up and all, under each other's names; the clocks' readings
+    // stay.
     let swapped = |take: &mut Take| {
         take.frames.swap(0, 3);
         for event in take.events.iter_mut().filter(|event| WarmUp::of(event).is_some()) {
@@ -450,7 +452,8 @@ fn of_the_rest(all: &mut Vec<Forgery>) {
         rows(take, &(0..i64::MAX), |_| ());
     };
     add("all but the warm-up half an hour later".to_owned(), None, None, corrupt, Box::new(session));
-    // An id that is skipped, with the event of a frame that nothing triggered: stamps are one behind, arrivals late by as much.
+    // An id that is skipped, with the event of a frame that nothing triggered: stamps are one behind, arrivals late by
+    // as much.
     let behind = |take: &mut Take| {
         let before = take.frames[0].clone();
         for (number, seen) in take.frames[0].range_mut(100..) {
@@ -553,7 +556,7 @@ fn of_eventful_sessions(all: &mut Vec<Forgery>) {
     }
 }
 
-/// All of them.
+/// All forgeries that verification has to find.
 pub fn all() -> Vec<Forgery> {
     let mut all = Vec::new();
     of_eventful_sessions(&mut all);

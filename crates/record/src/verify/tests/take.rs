@@ -5,13 +5,13 @@ use crate::base::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
 use crate::layout::{
     CameraHeader, ClockSample, GapCause, HsuIdentity, NodeEvent, RecordingHeader, TriggerRecord, WarmUp,
 };
-use crate::verify::witnesses::Seen;
+use crate::verify::frame::Seen;
 use crate::{ENVELOPE_CAPACITY, FrameMeta, Recording, SessionEnd, WriterOptions, node_dir, write_envelope};
 use hsu_firmware_proto::{PAUSE_BEFORE, TriggerFlags};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// 50 Hz.
+/// Time from trigger to trigger at 50 Hz, ns.
 pub const PERIOD: i64 = 20_000_000;
 pub const TRIGGERS: i64 = 240;
 const SIDE: u32 = 4;
@@ -33,12 +33,11 @@ impl Random {
     }
 }
 
-/// A camera's habits.
+/// How a simulated camera stamps and sends its frames.
 #[derive(Clone, Copy)]
 pub struct Habits {
     pub name: &'static str,
     pub stamps: bool,
-    /// Its clock is read.
     pub clock: bool,
     /// From trigger to stamp and to arrival, hundredths of a period.
     pub stamp: i64,
@@ -78,10 +77,10 @@ pub const CAMERAS: [Habits; 4] = [
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum Happens {
     Nothing,
-    /// The host stands still now and then, for so many ms at most; or the threads of each camera for themselves.
+    /// The host stands still now and then, for at most this many ms; or the threads of each camera by themselves.
     Pauses(i64),
     PausesOfEach(i64),
-    /// Packets are taken off the sockets every so many ms.
+    /// Time between two reads of the sockets, ms.
     Batches(i64),
     /// Frames are lost on the way; or triggers ignored, in rows.
     Lost,
@@ -99,25 +98,24 @@ pub enum Happens {
     Away,
     /// Frames are given up, and ids stand elsewhere behind them.
     GivenUp,
-    /// The HSU is late, and says so.
+    /// The HSU is late with some triggers, and flags them.
     Late,
-    /// Reports are held up by so many ms.
+    /// Time by which reports are held up, ms.
     ReportsHeldUp(i64),
     RowsLost,
     /// The camera takes every second trigger; wakes up behind the warm-up; misses trigger 0.
     EverySecond,
     WakesLate(i64),
     MissesFirst,
-    /// The recording begins so many triggers behind the warm-up.
+    /// The recording begins this many triggers behind the warm-up.
     BeforeRecord(i64),
-    /// Until stop.
     Endless,
 }
 
 /// A frame of a trigger.
 pub type Frames = BTreeMap<i64, Seen>;
 
-/// A recording.
+/// A recording that tests make and damage.
 #[derive(Clone)]
 pub struct Take {
     pub header: RecordingHeader,
@@ -345,7 +343,7 @@ impl Model {
             at + ahead + (at - FIRST) * habits.ppm / 1_000_000
         };
         let (mut id, mut latest) = (habits.id, 0);
-        // Something happens at these triggers, far enough apart to be told.
+        // Something happens at these triggers, far enough apart to be distinguished.
         let strikes: Vec<i64> = (0..4).map(|n| 20 + 55 * n + self.random.below(20)).collect();
         let (mut skip, mut back) = (0i64, false);
         for index in 0..self.fired.len() {

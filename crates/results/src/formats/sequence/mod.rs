@@ -17,8 +17,8 @@ mod schema;
 
 use super::ply;
 use crate::data::Cloud;
+use crate::record::protobuf::{self, MessageWriter};
 use mcap::records::MessageHeader;
-use schema::Message;
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 
@@ -198,27 +198,26 @@ fn pack(message: &mut Vec<u8>, time_ns: u64, cloud: &Cloud) {
     }
 }
 
-fn timestamp(time_ns: u64) -> Message {
-    Message::default().integer(1, time_ns / 1_000_000_000).integer(2, time_ns % 1_000_000_000)
+fn timestamp(time_ns: u64) -> MessageWriter {
+    protobuf::timestamp(MessageWriter::default(), time_ns)
 }
 
 /// All of a message but its points.
 fn start_message(out: &mut Vec<u8>, time_ns: u64, points: usize) {
-    let identity =
-        Message::default().message(1, Message::default()).message(2, Message::default().double(4, 1.0));
-    let mut head = Message::default()
+    let identity = MessageWriter::default()
+        .message(1, MessageWriter::default())
+        .message(2, MessageWriter::default().double(4, 1.0));
+    let mut head = MessageWriter::default()
         .message(1, timestamp(time_ns))
         .bytes(2, b"world")
         .message(3, identity)
         .fixed32(4, STRIDE as u32);
     for (name, offset, kind) in FIELDS {
-        let field = Message::default().bytes(1, name.as_bytes()).fixed32(2, offset).integer(3, kind);
+        let field = MessageWriter::default().bytes(1, name.as_bytes()).fixed32(2, offset).varint(3, kind);
         head = head.message(5, field);
     }
-    head.varint(6 << 3 | 2);
-    head.varint((points * STRIDE) as u64);
     out.clear();
-    out.extend_from_slice(&head.0);
+    out.extend(head.bytes_header(6, (points * STRIDE) as u64).into_bytes());
 }
 
 #[cfg(test)]

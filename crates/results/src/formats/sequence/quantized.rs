@@ -18,9 +18,9 @@
 //! The octahedron: n / (|nx| + |ny| + |nz|) gives (a, b) for the upper half; for nz < 0 it is
 //! ((1 - |b|) sign a, (1 - |a|) sign b), where the sign of 0 is 1.
 
-use super::schema::Message;
 use super::timestamp;
 use crate::data::Cloud;
+use crate::record::protobuf::MessageWriter;
 
 /// The steps of places that make sense, metres: below, floats are as coarse; above, nothing is left of a surface.
 pub const STEPS_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-2;
@@ -42,15 +42,15 @@ pub(crate) fn encode(out: &mut Vec<u8>, time_ns: u64, cloud: &Cloud, step_m: f64
     if !cloud.sigma_m.is_empty() {
         columns.push(("sigma", SIGMA_STEP));
     }
-    let mut head =
-        Message::default().message(1, timestamp(time_ns)).bytes(2, b"world").fixed32(3, cloud.len() as u32);
+    let mut head = MessageWriter::default()
+        .message(1, timestamp(time_ns))
+        .bytes(2, b"world")
+        .fixed32(3, cloud.len() as u32);
     for (name, step) in &columns {
-        head = head.message(4, Message::default().bytes(1, name.as_bytes()).double(2, *step));
+        head = head.message(4, MessageWriter::default().bytes(1, name.as_bytes()).double(2, *step));
     }
-    head.varint(5 << 3 | 2);
-    head.varint((4 * columns.len() * cloud.len()) as u64);
     out.clear();
-    out.extend_from_slice(&head.0);
+    out.extend(head.bytes_header(5, (4 * columns.len() * cloud.len()) as u64).into_bytes());
     let folded: Vec<[f32; 2]> = cloud.normal.iter().map(|normal| fold(*normal)).collect();
     for (name, step) in columns {
         let steps = |x: f32| (f64::from(x) / step).round() as i32;
