@@ -13,7 +13,7 @@ use crate::data::Calibration;
 use crate::export::frames::Picture;
 use crate::export::job::ExportError;
 use crate::formats::Format;
-use crate::formats::sequence::quantized::STEPS_M;
+use crate::formats::sequence::STEPS_M;
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -71,8 +71,8 @@ pub struct Args {
     /// With --mesh watertight: side of the cells that the surface is found on, mm.
     #[arg(long, value_name = "MM", default_value_t = 5.0, value_parser = parse_cell)]
     cell: f64,
-    /// With --to mcap: round places to this step, mm (0.02 is far below the measurement's uncertainty), and compress: a tenth
-    /// of the bytes, in a form that docs/guide/exporting.md describes and viewers do not know.
+    /// With --to mcap: round places to steps of at most this, mm (0.02 is far below the measurement's uncertainty), normals and
+    /// intensities likewise, and compress: less than half of the bytes.
     #[arg(long, value_name = "MM", value_parser = parse_step)]
     quantize: Option<f64>,
     /// With --to mcap: level of compression (zstd), 0 for none [default: 0, or 1 with --quantize].

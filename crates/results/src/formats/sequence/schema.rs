@@ -126,28 +126,6 @@ pub(crate) fn point_cloud() -> Vec<u8> {
     files.into_iter().fold(Message::default(), |set, file| set.message(1, file)).0
 }
 
-/// The `FileDescriptorSet` of `fourdbody.QuantizedCloud`.
-pub(crate) fn quantized_cloud() -> Vec<u8> {
-    let column: &[Field] = &[("name", 1, Kind::Text, "", false), ("step", 2, Kind::Double, "", false)];
-    let cloud: &[Field] = &[
-        ("timestamp", 1, Kind::Message, ".google.protobuf.Timestamp", false),
-        ("frame_id", 2, Kind::Text, "", false),
-        ("points", 3, Kind::Fixed32, "", false),
-        ("columns", 4, Kind::Message, ".fourdbody.QuantizedColumn", true),
-        ("data", 5, Kind::Bytes, "", false),
-    ];
-    let files = [
-        timestamp(),
-        file(
-            "fourdbody/QuantizedCloud.proto",
-            "fourdbody",
-            &["google/protobuf/timestamp.proto"],
-            vec![kind("QuantizedColumn", column), kind("QuantizedCloud", cloud)],
-        ),
-    ];
-    files.into_iter().fold(Message::default(), |set, file| set.message(1, file)).0
-}
-
 fn timestamp() -> Message {
     let fields: &[Field] = &[("seconds", 1, Kind::Int64, "", false), ("nanos", 2, Kind::Int32, "", false)];
     file("google/protobuf/timestamp.proto", "google.protobuf", &[], vec![kind("Timestamp", fields)])
