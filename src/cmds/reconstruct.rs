@@ -12,7 +12,7 @@ use crate::batch::binned::{BinnedSource, MOST_ROWS};
 use crate::batch::collect_shards::{self, Lack, Shards};
 use crate::batch::image_tree::ImageTree;
 use crate::batch::png_source::PngSource;
-use crate::batch::run::{self, Format, Plan, RunError};
+use crate::batch::run::{self, Format, Plan};
 use crate::batch::strangers;
 use crate::batch::summary::Summary;
 use crate::batch::timings::Timings;
@@ -412,14 +412,7 @@ fn reconstruct(
             eprint!("\r{done} of {count} triggers{}", if done == count { "\n" } else { "" });
         }
     };
-    let run = pool.install(|| run::run(source, calibration, plan, progress));
-    let (summary, timings) = run.map_err(|error| {
-        let exit = match error {
-            RunError::Occupied(_) => Exit::Usage,
-            RunError::Failed(_) => Exit::Failure,
-        };
-        Failure::new(exit, error)
-    })?;
+    let (summary, timings) = pool.install(|| run::run(source, calibration, plan, progress))?;
     if let Some(path) = &args.timings {
         write_json(path, &Cost { timings, peak_memory_bytes: peak_memory_bytes() })?;
     }

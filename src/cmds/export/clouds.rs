@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody export` of a reconstruction.
 
-use super::{Args, Clouds, MeshName, Target, calibration, chosen_cameras, chosen_triggers, stopped};
+use super::{Args, Clouds, MeshName, Target, calibration, chosen_cameras, chosen_triggers};
 use crate::base::Exit;
 use crate::base::ids::TriggerIndex;
 use crate::batch::belonging::{self, Expected, Held};
@@ -43,7 +43,7 @@ fn export(args: &Args, source: &dyn CloudSource) -> Result<Exit, Failure> {
     let progress = Progress::of("exporting", "triggers");
     let mut summary = Summary::default();
     if !plan.formats.is_empty() {
-        summary = job::run(source, &plan, |done, total| progress.at(done, total)).map_err(stopped)?;
+        summary = job::run(source, &plan, |done, total| progress.at(done, total))?;
     }
     if args.to.contains(&Target::Mcap) {
         let made = write_sequence(args, source, &plan, &progress)?;

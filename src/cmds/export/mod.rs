@@ -7,11 +7,10 @@ mod session;
 use super::failure::{Failure, tell_amiss, tell_made_up_times};
 use super::progress::Progress;
 use crate::base::Exit;
-use crate::batch::from_phase_maps::{self, StoredError};
+use crate::batch::from_phase_maps;
 use crate::batch::result::calibration_of;
 use crate::data::Calibration;
 use crate::export::frames::Picture;
-use crate::export::job::ExportError;
 use crate::formats::Format;
 use crate::formats::sequence::STEPS_M;
 use std::ops::Range;
@@ -188,14 +187,7 @@ fn everything(args: &Args) -> Result<Exit, Failure> {
     let calibration = calibration(args)?;
     let progress = Progress::of("exporting", "triggers");
     let at = |done, total| progress.at(done, total);
-    let made =
-        from_phase_maps::export(&args.directory, &calibration, &args.out, args.rate_hz, at).map_err(|e| {
-            match e {
-                StoredError::Maps(_) | StoredError::Nothing(_) => Failure::new(Exit::Corrupt, e),
-                StoredError::Occupied(_) => Failure::new(Exit::Usage, e),
-                StoredError::Write(_) => Failure::new(Exit::Failure, e),
-            }
-        })?;
+    let made = from_phase_maps::export(&args.directory, &calibration, &args.out, args.rate_hz, at)?;
     drop(progress);
     let is_amiss = tell_amiss(&made.amiss);
     if made.made_up_times {
@@ -220,15 +212,6 @@ fn calibration(args: &Args) -> Result<Calibration, Failure> {
         Some(path) => Calibration::load(path).map_err(|e| Failure::new(Exit::Usage, e)),
         None => calibration_of(&args.directory).map_err(|e| Failure::new(Exit::Usage, e)),
     }
-}
-
-/// The failure of an export that stopped.
-fn stopped(error: ExportError) -> Failure {
-    let exit = match error {
-        ExportError::Occupied(_) => Exit::Usage,
-        ExportError::Write(_) => Exit::Failure,
-    };
-    Failure::new(exit, error)
 }
 
 /// The wanted triggers, all of which must be there.

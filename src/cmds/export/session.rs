@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody export` of a session: frames and times.
 
-use super::{Args, Target, chosen_cameras, chosen_triggers, stopped};
+use super::{Args, Target, chosen_cameras, chosen_triggers};
 use crate::base::Exit;
 use crate::base::ids::CameraId;
 use crate::base::write_whole;
@@ -42,8 +42,7 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
             cameras: cameras.clone(),
         };
         let progress = Progress::of("exporting", "frames");
-        let made = frames::run(&session, &plan, |done, total| progress.at(done, total));
-        frames = Some(made.map_err(stopped)?);
+        frames = Some(frames::run(&session, &plan, |done, total| progress.at(done, total))?);
     }
     let csv = args.to.contains(&Target::Csv);
     let ptp = if csv { PtpTime::of(&session) } else { PtpTime::default() };

@@ -2,6 +2,8 @@
 //! How a command ends, and why something failed: the exit code, and what was expected, found, and is to be done.
 
 use serde::{Deserialize, Serialize};
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// How a command ended (a contract with scripts).
@@ -37,8 +39,9 @@ impl From<Exit> for ExitCode {
 }
 
 /// Why something failed, with the exit code that it means on the command line.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[error("{message}")]
 pub struct Fault {
     /// As a process exit code.
     pub exit: u8,
@@ -50,5 +53,28 @@ impl Fault {
     /// A fault with this exit code.
     pub fn new(exit: Exit, message: impl ToString) -> Self {
         Self { exit: exit as u8, message: message.to_string() }
+    }
+}
+
+impl From<String> for Fault {
+    fn from(message: String) -> Self {
+        Self::new(Exit::Failure, message)
+    }
+}
+
+/// Why a file cannot be used: which one, what was expected of it and what was found.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {reason}", path.display())]
+pub struct FileError {
+    /// The file.
+    pub path: PathBuf,
+    /// What was expected, what was found, what to do.
+    pub reason: String,
+}
+
+impl FileError {
+    /// What makes reasons errors of this file.
+    pub fn of<E: Display>(path: &Path) -> impl Fn(E) -> Self + Copy + '_ {
+        |reason| Self { path: path.to_owned(), reason: reason.to_string() }
     }
 }

@@ -3,10 +3,10 @@
 //!
 //! Pixel (u, v): u is the column, v the row, integers at pixel centres.
 
-use super::regular;
+use super::{FileError, regular};
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// An owned plane of `width * height` values, row-major without padding.
 #[derive(Debug, Default)]
@@ -158,58 +158,32 @@ impl<'a> From<&'a Plane<u8>> for Mono8<'a> {
     }
 }
 
-/// Why a PNG could not be used.
-#[derive(Debug, thiserror::Error)]
-pub enum PngError {
-    /// The file could not be opened or read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The file is not an intact PNG.
-    #[error("{path}: not a readable PNG ({source}); expected an 8-bit grey PNG")]
-    Decode {
-        /// The file.
-        path: PathBuf,
-        /// What the decoder said.
-        source: png::DecodingError,
-    },
-    /// The PNG holds another kind of pixel.
-    #[error("{path}: expected 8-bit grey pixels, found {found}; convert it to 8-bit grey first")]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// Colour type and bit depth found.
-        found: String,
-    },
-}
-
 /// No camera has more pixels.
 const PIXELS_MAX: usize = 1 << 28;
 
 /// Reads an 8-bit grey PNG.
-pub fn read_png_grey(path: &Path) -> Result<Plane<u8>, PngError> {
-    let io_error = |source| PngError::Io { path: path.to_owned(), source };
-    let decode_error = |source| PngError::Decode { path: path.to_owned(), source };
-    let file = regular::open(path).map_err(io_error)?;
-    let length = file.metadata().map_err(io_error)?.len();
+pub fn read_png_grey(path: &Path) -> Result<Plane<u8>, FileError> {
+    let decode_error = |source: png::DecodingError| {
+        FileError::of(path)(format!("not a readable PNG ({source}); expected an 8-bit grey PNG"))
+    };
+    let format_error = |found: String| {
+        let message = format!("expected 8-bit grey pixels, found {found}; convert it to 8-bit grey first");
+        Err(FileError::of(path)(message))
+    };
+    let file = regular::open(path).map_err(FileError::of(path))?;
+    let length = file.metadata().map_err(FileError::of(path))?.len();
     let mut reader = png::Decoder::new(BufReader::new(file)).read_info().map_err(decode_error)?;
     let info = reader.info();
     let (width, height) = (info.width as usize, info.height as usize);
     if info.color_type != png::ColorType::Grayscale || info.bit_depth != png::BitDepth::Eight {
-        let found = format!("{:?} {:?}", info.color_type, info.bit_depth);
-        return Err(PngError::Format { path: path.to_owned(), found });
+        return format_error(format!("{:?} {:?}", info.color_type, info.bit_depth));
     }
     // Deflate makes at most 1032 bytes of one: a file that announces more claims memory for what it does not hold.
     let pixels = width
         .checked_mul(height)
         .filter(|pixels| *pixels <= PIXELS_MAX && *pixels as u64 <= length.saturating_mul(1032));
     let Some(pixels) = pixels else {
-        let found = format!("{width} x {height} of them in {length} bytes");
-        return Err(PngError::Format { path: path.to_owned(), found });
+        return format_error(format!("{width} x {height} of them in {length} bytes"));
     };
     let mut data = vec![0; pixels];
     reader.next_frame(&mut data).map_err(decode_error)?;

@@ -22,4 +22,4 @@ pub mod regular;
 pub mod time;
 
 pub use atomic_file::{STALE, remove_stale, write_new, write_whole, write_whole_cached};
-pub use fault::{Exit, Fault};
+pub use fault::{Exit, Fault, FileError};

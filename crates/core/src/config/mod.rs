@@ -27,6 +27,7 @@ pub use words::{AUTO, CameraWords, Edge, FEATURES_OF_WORDS, PacketDelay, word_of
 pub use worker::{Order, Output, WorkerConfig, WorkerNode};
 
 use crate::base::regular;
+use std::cell::RefCell;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -86,4 +87,12 @@ fn parse_table(text: &str, path: &Path) -> Result<toml::Table, ConfigError> {
 /// A problem with a whole file.
 fn as_a_whole(path: &Path, message: String) -> ConfigError {
     ConfigError { path: path.to_owned(), problems: vec![Problem { key: String::new(), message }] }
+}
+
+/// What `read` makes of a file's outermost table; the problems that it noted, if there are any.
+fn read_all<T>(table: &toml::Table, read: impl FnOnce(Section<'_>) -> Option<T>) -> Result<T, Vec<Problem>> {
+    let problems = RefCell::default();
+    let config = read(Section::root(table, &problems));
+    let problems = problems.into_inner();
+    config.filter(|_| problems.is_empty()).ok_or(problems)
 }

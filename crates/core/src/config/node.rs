@@ -3,15 +3,14 @@
 //! (`node-X.toml`).
 
 use super::api::{ApiConfig, read_api};
-use super::rig::{Head, Rig};
+use super::rig::{Head, Rig, RigCamera};
 use super::section::Section;
 use super::trigger::{TriggerSource, read_trigger};
 use super::words::{CameraWords, read_settings, word_of};
-use super::{ConfigError, Problem, parse_table, read_table};
+use super::{ConfigError, parse_table, read_all, read_table};
 use crate::base::ids::{CameraId, NodeId};
 use crate::base::regular;
 use serde::{Deserialize, Serialize};
-use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::fmt;
 use std::net::IpAddr;
@@ -189,13 +188,9 @@ impl NodeConfig {
     }
 
     fn of(table: &toml::Table, path: &Path) -> Result<Self, ConfigError> {
-        let problems = RefCell::default();
-        let config = read_node(Section::root(table, &problems), path.parent().unwrap_or(Path::new(".")));
-        let problems: Vec<Problem> = problems.into_inner();
-        match config {
-            Some(config) if problems.is_empty() => Ok(config),
-            _ => Err(ConfigError { path: path.to_owned(), problems }),
-        }
+        let base = path.parent().unwrap_or(Path::new("."));
+        read_all(table, |root| read_node(root, base))
+            .map_err(|problems| ConfigError { path: path.to_owned(), problems })
     }
 
     /// Whether frames must be those of the HSU's triggers: without a silence gate cameras may run by themselves.
@@ -365,23 +360,21 @@ fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[Ca
         if !addresses.insert(&camera.address) {
             root.problem(&format!("camera[{i}].address"), format!("{} is used twice", camera.address));
         }
-        if !rig.cameras_of(node).any(|(_, known)| known.id == camera.id) {
+        let known = rig.cameras().find(|(_, known)| known.id == camera.id);
+        if known.is_none_or(|(_, known)| known.node != *node) {
             let message = format!("{} is not a camera of node {node} in the rig", camera.id);
             root.problem(&format!("camera[{i}].id"), message);
         }
-        let known = rig.cameras().find(|(_, known)| known.id == camera.id).map(|(_, known)| &known.device);
-        for (word, said, of_rig) in [
-            ("width", camera.words.width, known.map(|device| device.width)),
-            ("height", camera.words.height, known.map(|device| device.height)),
-        ] {
-            if let (Some(said), Some(of_rig)) = (said, of_rig)
-                && usize::try_from(said) != Ok(of_rig)
+        if let Some((head, RigCamera { device, .. })) = known {
+            for (word, stated, of_rig) in
+                [("width", camera.words.width, device.width), ("height", camera.words.height, device.height)]
             {
-                let message = format!("is {said} for {}, expected the {of_rig} of the rig file", camera.id);
-                root.problem(&format!("camera[{i}].{word}"), message);
+                if let Some(stated) = stated.filter(|stated| usize::try_from(*stated) != Ok(of_rig)) {
+                    let message =
+                        format!("is {stated} for {}, expected the {of_rig} of the rig file", camera.id);
+                    root.problem(&format!("camera[{i}].{word}"), message);
+                }
             }
-        }
-        if let Some((head, _)) = rig.cameras().find(|(_, known)| known.id == camera.id) {
             check_exposure(root, rig, head, i, camera);
         }
         if camera.address.starts_with(|c: char| c.is_ascii_digit())

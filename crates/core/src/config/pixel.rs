@@ -69,6 +69,35 @@ impl Mosaic {
     }
 }
 
+/// What a pixel is called where.
+struct Form {
+    pixel: Pixel,
+    word: &'static str,
+    name: &'static str,
+    code: u32,
+    depth: usize,
+}
+
+const fn form(pixel: Pixel, word: &'static str, name: &'static str, code: u32, depth: usize) -> Form {
+    Form { pixel, word, name, code, depth }
+}
+
+const FORMS: [Form; 13] = [
+    form(Pixel::Mono8, "mono8", "Mono8", 0x0108_0001, 8),
+    form(Pixel::Mono10p, "mono10p", "Mono10p", 0x010a_0046, 10),
+    form(Pixel::Mono10Packed, "mono10packed", "Mono10Packed", 0x010c_0004, 10),
+    form(Pixel::Mono12p, "mono12p", "Mono12p", 0x010c_0047, 12),
+    form(Pixel::Mono12Packed, "mono12packed", "Mono12Packed", 0x010c_0006, 12),
+    form(Pixel::Mono10, "mono10", "Mono10", 0x0110_0003, 10),
+    form(Pixel::Mono12, "mono12", "Mono12", 0x0110_0005, 12),
+    form(Pixel::Mono14, "mono14", "Mono14", 0x0110_0025, 14),
+    form(Pixel::Mono16, "mono16", "Mono16", 0x0110_0007, 16),
+    form(Pixel::Bayer8(Mosaic::GR), "bayer8", "BayerGR8", 0x0108_0008, 8),
+    form(Pixel::Bayer8(Mosaic::RG), "bayer8", "BayerRG8", 0x0108_0009, 8),
+    form(Pixel::Bayer8(Mosaic::GB), "bayer8", "BayerGB8", 0x0108_000a, 8),
+    form(Pixel::Bayer8(Mosaic::BG), "bayer8", "BayerBG8", 0x0108_000b, 8),
+];
+
 impl Pixel {
     /// Those of grey, in the order in which a camera's is chosen: 8 bits, then by bytes, then by depth.
     pub const GREY: [Self; 9] = [
@@ -83,69 +112,28 @@ impl Pixel {
         Self::Mono16,
     ];
 
+    fn form(self) -> &'static Form {
+        FORMS.iter().find(|form| form.pixel == self).unwrap_or(&FORMS[0])
+    }
+
     /// Its word in a node file.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Mono8 => "mono8",
-            Self::Mono10p => "mono10p",
-            Self::Mono10Packed => "mono10packed",
-            Self::Mono12p => "mono12p",
-            Self::Mono12Packed => "mono12packed",
-            Self::Mono10 => "mono10",
-            Self::Mono12 => "mono12",
-            Self::Mono14 => "mono14",
-            Self::Mono16 => "mono16",
-            Self::Bayer8(_) => "bayer8",
-        }
+        self.form().word
     }
 
     /// Its name, as cameras and the PFNC write it.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Mono8 => "Mono8",
-            Self::Mono10p => "Mono10p",
-            Self::Mono10Packed => "Mono10Packed",
-            Self::Mono12p => "Mono12p",
-            Self::Mono12Packed => "Mono12Packed",
-            Self::Mono10 => "Mono10",
-            Self::Mono12 => "Mono12",
-            Self::Mono14 => "Mono14",
-            Self::Mono16 => "Mono16",
-            Self::Bayer8(Mosaic::GR) => "BayerGR8",
-            Self::Bayer8(Mosaic::RG) => "BayerRG8",
-            Self::Bayer8(Mosaic::GB) => "BayerGB8",
-            Self::Bayer8(Mosaic::BG) => "BayerBG8",
-        }
+        self.form().name
     }
 
-    /// Its code in a leader.
+    /// Its code in the leader of a GVSP frame.
     pub fn code(self) -> u32 {
-        match self {
-            Self::Mono8 => 0x0108_0001,
-            Self::Mono10p => 0x010a_0046,
-            Self::Mono10Packed => 0x010c_0004,
-            Self::Mono12p => 0x010c_0047,
-            Self::Mono12Packed => 0x010c_0006,
-            Self::Mono10 => 0x0110_0003,
-            Self::Mono12 => 0x0110_0005,
-            Self::Mono14 => 0x0110_0025,
-            Self::Mono16 => 0x0110_0007,
-            Self::Bayer8(Mosaic::GR) => 0x0108_0008,
-            Self::Bayer8(Mosaic::RG) => 0x0108_0009,
-            Self::Bayer8(Mosaic::GB) => 0x0108_000a,
-            Self::Bayer8(Mosaic::BG) => 0x0108_000b,
-        }
+        self.form().code
     }
 
-    /// Bits of its value.
+    /// Bits of its value, 8 to 16.
     pub fn depth(self) -> usize {
-        match self {
-            Self::Mono8 | Self::Bayer8(_) => 8,
-            Self::Mono10p | Self::Mono10Packed | Self::Mono10 => 10,
-            Self::Mono12p | Self::Mono12Packed | Self::Mono12 => 12,
-            Self::Mono14 => 14,
-            Self::Mono16 => 16,
-        }
+        self.form().depth
     }
 
     /// Bits that it takes of a row.

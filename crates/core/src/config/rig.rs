@@ -2,13 +2,12 @@
 //! The rig, described once: heads, channels, nodes, pattern, board and the nominal geometry (`rig.toml`).
 
 use super::section::Section;
-use super::{ConfigError, Problem, read_table};
+use super::{ConfigError, Problem, read_all, read_table};
 use crate::base::ids::{CameraId, HeadId, NodeId};
 use crate::geometry::pattern::{Marker, Pattern};
 use crate::geometry::{Device, Fringes, Lens, Pose, look_at};
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
-use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -117,10 +116,7 @@ impl Rig {
 
     /// Validates a parsed rig file; on failure every problem found.
     pub fn from_table(table: &toml::Table) -> Result<Self, Vec<Problem>> {
-        let problems = RefCell::default();
-        let rig = read_rig(Section::root(table, &problems));
-        let problems = problems.into_inner();
-        if problems.is_empty() { Ok(rig) } else { Err(problems) }
+        read_all(table, read_rig)
     }
 
     /// Loads a rig file, and checks that what it records can be reconstructed: recording itself needs no geometry.
@@ -167,20 +163,23 @@ impl Rig {
 
 const FORMAT: u64 = 1;
 
-fn read_rig(root: Section<'_>) -> Rig {
+fn read_rig(root: Section<'_>) -> Option<Rig> {
     root.integer("format", FORMAT..=FORMAT);
     let name = root.text("name");
     let trigger_rate_hz = root.number("trigger_rate_hz", 0.1..=1000.0);
     let warm_up_triggers = root.integer_or("warm_up_triggers", 0..=1000, 8) as u32;
     let (volume_min_m, volume_max_m) = root.section("volume").map_or(([0.0; 3], [0.0; 3]), read_volume);
-    let pattern = root.section("pattern").map_or_else(placeholder_pattern, read_pattern);
-    let board = root.section("board").map_or_else(placeholder_board, read_board);
+    let pattern = root.section("pattern").map(read_pattern);
+    let board = root.section("board").map(read_board);
     let heads: Vec<Head> = root.sections("head").into_iter().map(|s| read_head(s, trigger_rate_hz)).collect();
     check_unique(&root, &heads);
     check_channels(&root, &heads);
-    check_marker_on_panel(&root, &pattern, &heads);
+    if let Some(pattern) = &pattern {
+        check_marker_on_panel(&root, pattern, &heads);
+    }
     root.finish();
-    Rig { name, trigger_rate_hz, warm_up_triggers, volume_min_m, volume_max_m, pattern, board, heads }
+    let (pattern, board) = (pattern?, board?);
+    Some(Rig { name, trigger_rate_hz, warm_up_triggers, volume_min_m, volume_max_m, pattern, board, heads })
 }
 
 fn read_volume(section: Section<'_>) -> ([f64; 3], [f64; 3]) {
@@ -191,20 +190,6 @@ fn read_volume(section: Section<'_>) -> ([f64; 3], [f64; 3]) {
     }
     section.finish();
     (min, max)
-}
-
-fn placeholder_pattern() -> Pattern {
-    let marker = Marker::ZeroMean { amplitude: 0.0 };
-    Pattern {
-        period_px: 1.0,
-        marker_index: 0,
-        marker_every: 0,
-        marker,
-        marker_period_px: 1.0,
-        low: 0.0,
-        high: 1.0,
-        gamma: 1.0,
-    }
 }
 
 fn read_pattern(section: Section<'_>) -> Pattern {
@@ -231,19 +216,6 @@ fn read_pattern(section: Section<'_>) -> Pattern {
     }
     section.finish();
     pattern
-}
-
-fn placeholder_board() -> Board {
-    Board {
-        width_m: 0.0,
-        height_m: 0.0,
-        pitch_m: 0.0,
-        columns: 0,
-        rows: 0,
-        radius_m: 0.0,
-        large_radius_m: 0.0,
-        large: Vec::new(),
-    }
 }
 
 fn read_board(section: Section<'_>) -> Board {

@@ -4,7 +4,7 @@
 
 use super::node::{FeatureSetting, FeatureValue};
 use super::pixel::{Mosaic, Pixel};
-use super::section::Section;
+use super::section::{Section, number};
 use serde::{Deserialize, Serialize};
 
 /// A trigger line or a packet delay that is found out.
@@ -103,8 +103,8 @@ impl CameraWords {
     /// These words, and for what they do not say the common ones.
     pub fn or(self, common: &Self) -> Self {
         // What a camera says of itself it does not leave to a list that is common.
-        let said: Vec<&str> =
-            FEATURES_OF_WORDS.iter().map(|(word, _)| *word).filter(|word| self.says(word)).collect();
+        let left = common.left_to_settings.iter().filter(|word| !self.says(word)).cloned();
+        let left_to_settings = left.chain(self.left_to_settings.iter().cloned()).collect();
         Self {
             trigger_line: self.trigger_line.or_else(|| common.trigger_line.clone()),
             trigger_edge: self.trigger_edge.or(common.trigger_edge),
@@ -116,7 +116,7 @@ impl CameraWords {
             height: self.height.or(common.height),
             overlap: self.overlap.or(common.overlap),
             packet_delay: self.packet_delay.or(common.packet_delay),
-            left_to_settings: left_to_settings(&said, self.left_to_settings, common),
+            left_to_settings,
         }
     }
 
@@ -149,27 +149,8 @@ impl CameraWords {
 
     /// Whether this word is said.
     fn says(&self, word: &str) -> bool {
-        match word {
-            "trigger_line" => self.trigger_line.is_some(),
-            "trigger_edge" => self.trigger_edge.is_some(),
-            "exposure_us" => self.exposure_us.is_some(),
-            "gain_db" => self.gain_db.is_some(),
-            "pixel" => self.pixel.is_some(),
-            "width" => self.width.is_some(),
-            "height" => self.height.is_some(),
-            "overlap" => self.overlap.is_some(),
-            "packet_delay_us" => self.packet_delay.is_some(),
-            _ => false,
-        }
+        self.spoken().iter().any(|stated| stated.feature == word)
     }
-}
-
-/// Words left to settings: the common ones that a camera does not say, and its own.
-fn left_to_settings(said: &[&str], own: Vec<String>, common: &CameraWords) -> Vec<String> {
-    let unsaid = common.left_to_settings.iter().filter(|word| !said.contains(&word.as_str()));
-    let mut left: Vec<String> = unsaid.cloned().collect();
-    left.extend(own);
-    left
 }
 
 fn read_left(section: &Section<'_>) -> Vec<String> {
@@ -194,19 +175,18 @@ fn read_left(section: &Section<'_>) -> Vec<String> {
 
 fn read_packet_delay(section: &Section<'_>) -> PacketDelay {
     const KEY: &str = "packet_delay_us";
-    let expected = "expected microseconds from 0 to 100000, or \"auto\"";
     match section.value(KEY) {
-        Some(toml::Value::String(text)) if text == AUTO => return PacketDelay::Auto,
+        Some(toml::Value::String(text)) if text == AUTO => PacketDelay::Auto,
         Some(value) => {
-            let number = value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64));
-            match number.filter(|delay| (0.0..=100_000.0).contains(delay)) {
-                Some(delay) => return PacketDelay::Microseconds(delay),
-                None => section.problem(KEY, format!("{expected}, found {value}")),
+            let delay = number(value).filter(|delay| (0.0..=100_000.0).contains(delay));
+            if delay.is_none() {
+                let expected = "expected microseconds from 0 to 100000, or \"auto\"";
+                section.problem(KEY, format!("{expected}, found {value}"));
             }
+            delay.map_or(PacketDelay::Auto, PacketDelay::Microseconds)
         }
-        None => {}
+        None => PacketDelay::Auto,
     }
-    PacketDelay::Auto
 }
 
 /// Reads a list of raw settings. What a word sets must be left to it, here (`words`) or for all cameras (`common`).
@@ -223,15 +203,10 @@ pub(super) fn read_settings(
     let mut settings = Vec::new();
     for (i, entry) in section.list("settings").iter().enumerate() {
         let key = format!("settings[{i}]");
-        let pair = entry.as_array().map(Vec::as_slice);
-        let value = match pair {
-            Some([toml::Value::String(_), toml::Value::Boolean(b)]) => Some(FeatureValue::Flag(*b)),
-            Some([toml::Value::String(_), toml::Value::Integer(i)]) => Some(FeatureValue::Integer(*i)),
-            Some([toml::Value::String(_), toml::Value::Float(x)]) => Some(FeatureValue::Float(*x)),
-            Some([toml::Value::String(_), toml::Value::String(t)]) => Some(FeatureValue::Text(t.clone())),
-            _ => None,
-        };
-        let (Some([toml::Value::String(feature), _]), Some(value)) = (pair, value) else {
+        let value = entry.get(1).and_then(|value| value.clone().try_into::<FeatureValue>().ok());
+        let (Some([toml::Value::String(feature), _]), Some(value)) =
+            (entry.as_array().map(Vec::as_slice), value)
+        else {
             section.problem(&key, format!("expected [\"FeatureName\", value], found {entry}"));
             continue;
         };

@@ -2,9 +2,8 @@
 //! What the worker needs: where the nodes' sessions are, where results go, how much it may take (`worker.toml`).
 
 use super::section::Section;
-use super::{ConfigError, Problem, read_table};
+use super::{ConfigError, read_all, read_table};
 use crate::base::ids::NodeId;
-use std::cell::RefCell;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -88,13 +87,9 @@ impl WorkerConfig {
     /// Reads and validates a worker file.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let table = read_table(path)?;
-        let problems = RefCell::default();
-        let config = read_worker(Section::root(&table, &problems), path.parent().unwrap_or(Path::new(".")));
-        let problems: Vec<Problem> = problems.into_inner();
-        match config {
-            Some(config) if problems.is_empty() => Ok(config),
-            _ => Err(ConfigError { path: path.to_owned(), problems }),
-        }
+        let base = path.parent().unwrap_or(Path::new("."));
+        read_all(&table, |root| read_worker(root, base))
+            .map_err(|problems| ConfigError { path: path.to_owned(), problems })
     }
 
     /// Threads that fit into the memory, at least one.

@@ -20,11 +20,11 @@
 //! Light and slope change slowly along a row, so that the differences are little more than the noise, which does not
 //! compress further.
 
-use crate::base::{json, regular};
+use crate::base::{FileError, json, regular};
 use crate::data::{PhaseMap, Run};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 const MAGIC: &[u8; 8] = b"4dphase1";
 
@@ -72,27 +72,6 @@ struct Header {
     sigma_code: bool,
 }
 
-/// Why a file could not be read.
-#[derive(Debug, thiserror::Error)]
-pub enum PhaseFileError {
-    /// The file could not be opened or read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The file is not a phase map of this version, or is damaged.
-    #[error("{path}: {reason}; expected a phase map as `fourdbody reconstruct` writes it: make it again")]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        reason: String,
-    },
-}
-
 /// The bytes of a file.
 pub fn encode(statement: &Statement, map: &PhaseMap) -> Result<Vec<u8>, String> {
     let header = Header {
@@ -111,16 +90,8 @@ pub fn encode(statement: &Statement, map: &PhaseMap) -> Result<Vec<u8>, String> 
     let body = out.len();
     write_runs(map, &mut out);
     write_phase(map, &mut out);
-    let mut last = 0;
-    pack(
-        map.light.iter().map(|&x| zigzag(i32::from(x) - std::mem::replace(&mut last, i32::from(x)))),
-        &mut out,
-    );
-    let mut last = 0;
-    pack(
-        map.sigma_code.iter().map(|&x| zigzag(i32::from(x) - std::mem::replace(&mut last, i32::from(x)))),
-        &mut out,
-    );
+    pack(differences(&map.light), &mut out);
+    pack(differences(&map.sigma_code), &mut out);
     let length = u32::try_from(out.len() - body).map_err(|e| e.to_string())?;
     out[12..16].copy_from_slice(&length.to_le_bytes());
     let sum = crc32fast::hash(&out);
@@ -156,11 +127,6 @@ pub fn decode(bytes: &[u8]) -> Result<(Statement, PhaseMap), String> {
     Ok((header.statement, map))
 }
 
-/// Reads what the bytes of a file state, after all of them have been checked.
-pub fn decode_statement(bytes: &[u8]) -> Result<Statement, String> {
-    open(bytes).map(|(header, _)| header.statement)
-}
-
 /// Writes a file through a temporary neighbour, so that it is never half there.
 pub fn save(path: &Path, statement: &Statement, map: &PhaseMap) -> io::Result<()> {
     let bytes = encode(statement, map).map_err(io::Error::other)?;
@@ -168,33 +134,31 @@ pub fn save(path: &Path, statement: &Statement, map: &PhaseMap) -> io::Result<()
 }
 
 /// Reads a file.
-pub fn load(path: &Path) -> Result<(Statement, PhaseMap), PhaseFileError> {
-    let bytes = read(path)?;
-    decode(&bytes).map_err(|reason| PhaseFileError::Format { path: path.to_owned(), reason })
+pub fn load(path: &Path) -> Result<(Statement, PhaseMap), FileError> {
+    load_as(path, decode)
 }
 
 /// As [`load`], of a camera whose frame has these columns and rows: the map takes no memory for any other.
-pub fn load_of_frame(path: &Path, frame: [usize; 2]) -> Result<(Statement, PhaseMap), PhaseFileError> {
-    let bytes = read(path)?;
-    let stated = open(&bytes).and_then(|(header, _)| match header.frame.map(usize::from) == frame {
-        true => decode(&bytes),
-        false => Err(format!(
-            "it is of a frame of {:?} pixels, the calibration has {frame:?} for the camera that its name says",
-            header.frame
+pub fn load_of_frame(path: &Path, frame: [usize; 2]) -> Result<(Statement, PhaseMap), FileError> {
+    load_as(path, |bytes| match open(bytes)?.0.frame.map(usize::from) {
+        found if found == frame => decode(bytes),
+        found => Err(format!(
+            "it is of a frame of {found:?} pixels, the calibration has {frame:?} for the camera that its name says"
         )),
-    });
-    stated.map_err(|reason| PhaseFileError::Format { path: path.to_owned(), reason })
+    })
 }
 
-/// Reads what a file states.
-pub fn load_statement(path: &Path) -> Result<Statement, PhaseFileError> {
-    let bytes = read(path)?;
-    decode_statement(&bytes).map_err(|reason| PhaseFileError::Format { path: path.to_owned(), reason })
+/// Reads what a file states, after all of its bytes have been checked.
+pub fn load_statement(path: &Path) -> Result<Statement, FileError> {
+    load_as(path, |bytes| open(bytes).map(|(header, _)| header.statement))
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, PhaseFileError> {
-    let bytes = regular::read(path, BYTES_MAX);
-    bytes.map_err(|source| PhaseFileError::Io { path: path.to_owned(), source })
+fn load_as<T>(path: &Path, decode: impl FnOnce(&[u8]) -> Result<T, String>) -> Result<T, FileError> {
+    let bytes = regular::read(path, BYTES_MAX).map_err(FileError::of(path))?;
+    decode(&bytes).map_err(|reason| {
+        let expected = "expected a phase map as `fourdbody reconstruct` writes it: make it again";
+        FileError::of(path)(format!("{reason}; {expected}"))
+    })
 }
 
 /// Checks lengths and checksum.
@@ -218,6 +182,11 @@ fn open(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     let (header, body) = bytes[HEAD_BYTES..sum_at].split_at(header);
     let header = json::from_slice(header).map_err(|e| format!("its statement: {e}"))?;
     Ok((header, body))
+}
+
+fn differences<T: Copy + Into<i32>>(numbers: &[T]) -> impl Iterator<Item = u32> {
+    let mut last = 0;
+    numbers.iter().map(move |&x| zigzag(x.into() - std::mem::replace(&mut last, x.into())))
 }
 
 fn write_runs(map: &PhaseMap, out: &mut Vec<u8>) {

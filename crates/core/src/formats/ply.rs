@@ -6,10 +6,11 @@
 //!
 //! The reader takes exactly this layout and never trusts a length in the file.
 
-use crate::base::{regular, write_whole_cached};
+use crate::base::{FileError, regular, write_whole_cached};
 use crate::data::{Cloud, NO_CAMERA};
+use std::fs::File;
 use std::io::{self, BufRead, Read, Seek, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Properties of a directional cloud, in order; a merged cloud has [`CAMERA`] after them.
 const PROPERTIES: [(&str, &str); 9] = [
@@ -55,27 +56,6 @@ impl Layout {
     fn stride(self) -> usize {
         POINT_BYTES + usize::from(self.merged) + 4 * usize::from(self.sigma)
     }
-}
-
-/// Why a PLY file could not be read.
-#[derive(Debug, thiserror::Error)]
-pub enum PlyError {
-    /// The file could not be opened or read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The file is not a cloud of this project, or is damaged.
-    #[error("{path}: {reason}; expected a binary PLY as `fourdbody reconstruct` writes it")]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        reason: String,
-    },
 }
 
 /// What a header says.
@@ -212,36 +192,39 @@ pub fn save_merged(path: &Path, parts: &[Part<'_>], comments: &[String]) -> io::
     write_whole_cached(path, |file| write_merged(file, parts, comments))
 }
 
+/// The error of a file that is no cloud of this project, or is damaged.
+fn unfit(path: &Path, reason: &str) -> FileError {
+    FileError::of(path)(format!("{reason}; expected a binary PLY as `fourdbody reconstruct` writes it"))
+}
+
+/// Opens a file; its length in bytes.
+fn open(path: &Path) -> Result<(io::BufReader<File>, u64), FileError> {
+    let file = regular::open(path).map_err(FileError::of(path))?;
+    let bytes = file.metadata().map_err(FileError::of(path))?.len();
+    Ok((io::BufReader::new(file), bytes))
+}
+
 /// Reads the header of a file.
-pub fn load_header(path: &Path) -> Result<Header, PlyError> {
-    let file = regular::open(path).map_err(|source| PlyError::Io { path: path.to_owned(), source })?;
-    read_header(&mut io::BufReader::new(file))
-        .map_err(|reason| PlyError::Format { path: path.to_owned(), reason })
+pub fn load_header(path: &Path) -> Result<Header, FileError> {
+    read_header(&mut open(path)?.0).map_err(|reason| unfit(path, &reason))
 }
 
 /// Reads the header of a file and makes sure that the file is as long as it says, without reading the points.
-pub fn load_whole_header(path: &Path) -> Result<Header, PlyError> {
-    let fail = |source| PlyError::Io { path: path.to_owned(), source };
-    let file = regular::open(path).map_err(fail)?;
-    let found = file.metadata().map_err(fail)?.len();
-    let mut input = io::BufReader::new(file);
-    let format = |reason| PlyError::Format { path: path.to_owned(), reason };
-    let header = read_header(&mut input).map_err(format)?;
+pub fn load_whole_header(path: &Path) -> Result<Header, FileError> {
+    let (mut input, found) = open(path)?;
+    let header = read_header(&mut input).map_err(|reason| unfit(path, &reason))?;
     let points = (header.points as u64).checked_mul(header.layout().stride() as u64);
     let stated = points.and_then(|bytes| bytes.checked_add(input.stream_position().ok()?));
     if stated != Some(found) {
-        return Err(format(format!("{} points announced, the file has {found} bytes", header.points)));
+        return Err(unfit(path, &format!("{} points announced, the file has {found} bytes", header.points)));
     }
     Ok(header)
 }
 
 /// Reads a file.
-pub fn load(path: &Path) -> Result<(Header, Cloud), PlyError> {
-    let fail = |source| PlyError::Io { path: path.to_owned(), source };
-    let file = regular::open(path).map_err(fail)?;
-    let bytes = file.metadata().map_err(fail)?.len();
-    read_at_most(io::BufReader::new(file), bytes)
-        .map_err(|reason| PlyError::Format { path: path.to_owned(), reason })
+pub fn load(path: &Path) -> Result<(Header, Cloud), FileError> {
+    let (input, bytes) = open(path)?;
+    read_at_most(input, bytes).map_err(|reason| unfit(path, &reason))
 }
 
 /// Reads a cloud; an error says what was found instead.
@@ -305,14 +288,13 @@ fn for_each_part(
 pub fn stream(
     path: &Path,
     mut take: impl FnMut(usize, &[u8], usize) -> Result<(), String>,
-) -> Result<(), PlyError> {
-    let file = regular::open(path).map_err(|source| PlyError::Io { path: path.to_owned(), source })?;
-    let mut input = io::BufReader::new(file);
+) -> Result<(), FileError> {
+    let (mut input, _) = open(path)?;
     let mut stream = || {
         let header = read_header(&mut input)?;
         for_each_part(&mut input, &header, |part| take(header.points, part, header.layout().stride()))
     };
-    stream().map_err(|reason| PlyError::Format { path: path.to_owned(), reason })
+    stream().map_err(|reason| unfit(path, &reason))
 }
 
 fn push(cloud: &mut Cloud, point: &[u8], layout: Layout) {

@@ -11,7 +11,7 @@ mod motion;
 pub mod pattern;
 mod pose;
 
-pub use fringes::{Fringes, Unusable};
+pub use fringes::Fringes;
 pub use lens::Lens;
 pub use motion::best_motion;
 pub use pose::{Pose, look_at};

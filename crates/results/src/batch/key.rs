@@ -6,12 +6,13 @@
 
 use super::run::{Format, Plan, method_name};
 use crate::base::ids::CameraId;
-use crate::base::{json, regular, write_new};
+use crate::base::{Exit, Fault, json, regular, write_new};
 use crate::data::{Calibration, SessionIdentity};
 use crate::reconstruct::paper;
 use crate::reconstruct::pipeline::Method;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::fmt::Display;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -41,22 +42,6 @@ pub struct Key {
     pub format: String,
     /// The cameras, in the calibration's order: each frame of a trigger may give the others their fringe orders.
     pub cameras: Vec<CameraId>,
-}
-
-/// Why a directory cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum KeyError {
-    /// It has results of something else.
-    #[error("{0}")]
-    Occupied(String),
-    /// It cannot be written.
-    #[error("{0}")]
-    Write(String),
-}
-
-/// Where the key of a result is.
-pub fn key_path(out: &Path) -> PathBuf {
-    out.join(KEY_FILE)
 }
 
 /// Where the calibration of a result is.
@@ -108,7 +93,7 @@ impl Key {
 
     /// The key of the result in a directory; `None` where there is none. The error: it cannot be read.
     pub fn load(out: &Path) -> Result<Option<Self>, String> {
-        let path = key_path(out);
+        let path = out.join(KEY_FILE);
         match regular::read(&path, regular::STATEMENT_BYTES) {
             Ok(text) => json::from_slice(&text)
                 .map(Some)
@@ -119,12 +104,13 @@ impl Key {
     }
 
     /// Refuses a directory that has results of another key.
-    pub fn check(&self, out: &Path) -> Result<(), KeyError> {
-        let occupied = |reason: String| -> KeyError {
-            KeyError::Occupied(format!(
-                "{}: {reason}\nChoose another --out, or move away what is there",
-                out.display()
-            ))
+    pub fn check(&self, out: &Path) -> Result<(), Fault> {
+        let occupied = |reason: String| {
+            let path = out.display();
+            Fault::new(
+                Exit::Usage,
+                format!("{path}: {reason}\nChoose another --out, or move away what is there"),
+            )
         };
         match Self::load(out).map_err(&occupied)? {
             Some(there) if there == *self => Ok(()),
@@ -140,10 +126,10 @@ impl Key {
     }
 
     /// Takes a directory for results of this key, or finds that it has been taken so.
-    pub fn claim(&self, out: &Path) -> Result<(), KeyError> {
+    pub fn claim(&self, out: &Path) -> Result<(), Fault> {
         self.check(out)?;
-        let path = key_path(out);
-        let failed = |e: &dyn std::fmt::Display| KeyError::Write(format!("{}: {e}", path.display()));
+        let path = out.join(KEY_FILE);
+        let failed = |e: &dyn Display| format!("{}: {e}", path.display());
         if path.exists() {
             return Ok(());
         }
@@ -155,9 +141,9 @@ impl Key {
     }
 
     /// Puts the calibration beside the results, which are read with it; refuses a directory that has another one.
-    pub fn keep_calibration(&self, out: &Path, calibration: &Calibration) -> Result<(), KeyError> {
+    pub fn keep_calibration(&self, out: &Path, calibration: &Calibration) -> Result<(), Fault> {
         let path = calibration_path(out);
-        let failed = |e: &dyn std::fmt::Display| KeyError::Write(format!("{}: {e}", path.display()));
+        let failed = |e: &dyn Display| format!("{}: {e}", path.display());
         let text = calibration.text().map_err(|e| failed(&e))?;
         if !path.exists()
             && write_new(&path, |file| file.write_all(text.as_bytes())).map_err(|e| failed(&e))?
@@ -167,13 +153,17 @@ impl Key {
         let there = Calibration::load(&path).map_err(|e| e.to_string());
         match there.and_then(|there| calibration_sha256(&there)) {
             Ok(there) if there == self.calibration_sha256 => Ok(()),
-            Ok(_) => Err(KeyError::Occupied(format!(
-                "{}: expected the calibration that is asked for, found another one. Choose another --out, or move it away",
-                path.display()
-            ))),
-            Err(reason) => Err(KeyError::Occupied(format!(
-                "{reason}. It would be read with the results: choose another --out, or move it away"
-            ))),
+            Ok(_) => Err(Fault::new(
+                Exit::Usage,
+                format!(
+                    "{}: expected the calibration that is asked for, found another one. Choose another --out, or move it away",
+                    path.display()
+                ),
+            )),
+            Err(reason) => Err(Fault::new(
+                Exit::Usage,
+                format!("{reason}. It would be read with the results: choose another --out, or move it away"),
+            )),
         }
     }
 
@@ -215,7 +205,8 @@ fn has_results(out: &Path) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::{ALGORITHM, Key, KeyError};
+    use super::{ALGORITHM, Key};
+    use crate::base::Fault;
     use crate::data::SessionIdentity;
 
     fn key() -> Key {
@@ -246,7 +237,7 @@ mod tests {
         let refused = |change: &dyn Fn(&mut Key), words: &[&str]| {
             let mut other = key();
             change(&mut other);
-            let Err(KeyError::Occupied(message)) = other.claim(dir.path()) else {
+            let Err(Fault { exit: 2, message }) = other.claim(dir.path()) else {
                 panic!("{other:?} was taken");
             };
             words.iter().for_each(|word| assert!(message.contains(word), "{word:?} missing in {message}"));
@@ -273,6 +264,6 @@ mod tests {
         let error = key().claim(dir.path()).expect_err("must be refused").to_string();
         assert!(error.contains("reconstruct.json") && error.contains("--out"), "{error}");
         std::fs::write(dir.path().join("reconstruct.json"), "{").expect("writable");
-        assert!(matches!(key().claim(dir.path()), Err(KeyError::Occupied(_))));
+        assert_eq!(key().claim(dir.path()).expect_err("unreadable").exit, 2);
     }
 }

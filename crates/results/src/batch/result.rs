@@ -7,8 +7,7 @@ use super::collect_shards::named as list;
 use super::from_phase_maps::{self, PhaseDirectory};
 use super::key::calibration_path;
 use crate::data::Calibration;
-use crate::export::merged_cloud;
-use crate::formats::{CloudSource, Commented, ply};
+use crate::formats::{CloudSource, Commented, merged_cloud, ply};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -141,7 +140,7 @@ impl Clouds {
                 let clouds = maps.clouds(*trigger, places)?;
                 let cameras: Vec<_> = places.iter().map(|&place| maps.cameras()[place].clone()).collect();
                 let comments = clouds.first().map_or_else(Vec::new, |(comments, _)| comments.clone());
-                Ok((comments, merged_cloud(&clouds, &cameras)))
+                Ok((comments, merged_cloud(&clouds, &cameras).0))
             }
         }
     }

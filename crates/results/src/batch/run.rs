@@ -22,7 +22,8 @@ mod written;
 
 use super::collect_shards::remove_leftovers;
 use super::from_phase_maps::{self, phase_path};
-use super::key::{Key, KeyError};
+use super::key::Key;
+use crate::base::Fault;
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::Mono8;
 use crate::base::time::process_cpu_time;
@@ -35,6 +36,7 @@ use crate::reconstruct::pipeline::{Method, Pipeline, Workspace};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
 use rayon::prelude::*;
+use std::fmt::Display;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -145,7 +147,7 @@ pub fn method_name(method: Method) -> &'static str {
 }
 
 /// Where a directional cloud is.
-pub fn cloud_path(out: &Path, camera: &CameraId, trigger: u64) -> PathBuf {
+pub fn cloud_path(out: &Path, camera: impl Display, trigger: u64) -> PathBuf {
     out.join("clouds").join(format!("{camera}_{trigger:06}.ply"))
 }
 
@@ -175,32 +177,6 @@ struct Camera {
     /// Where it and its head's projector are, as its clouds state it.
     viewpoint: Viewpoint,
     pipeline: Pipeline,
-}
-
-/// Why a run ended.
-#[derive(Debug, thiserror::Error)]
-pub enum RunError {
-    /// The directory has results of something else.
-    #[error("{0}")]
-    Occupied(String),
-    /// Anything else.
-    #[error("{0}")]
-    Failed(String),
-}
-
-impl From<String> for RunError {
-    fn from(reason: String) -> Self {
-        Self::Failed(reason)
-    }
-}
-
-impl From<KeyError> for RunError {
-    fn from(error: KeyError) -> Self {
-        match error {
-            KeyError::Occupied(reason) => Self::Occupied(reason),
-            KeyError::Write(reason) => Self::Failed(reason),
-        }
-    }
 }
 
 /// The CRC-32 of a frame's pixels; `None` where there is no frame, an error where it is damaged.
@@ -253,7 +229,7 @@ pub fn run(
     calibration: &Calibration,
     plan: &Plan,
     progress: impl Fn(usize) + Sync,
-) -> Result<(Summary, Timings), RunError> {
+) -> Result<(Summary, Timings), Fault> {
     let key = Key::of(source.identity()?, calibration, plan)?;
     if !plan.discard {
         key.claim(&plan.out)?;

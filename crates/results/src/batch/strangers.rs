@@ -11,8 +11,8 @@ use super::summary::{FrameSummary, Summary, TriggerSummary};
 use super::witness::{self, REACH, Said, Sketch, Sketches};
 use crate::base::ids::CameraId;
 use crate::data::{Calibration, Cloud, PhaseMap};
-use crate::formats::{CloudSource, PlyDirectory, phase_file, ply};
-use crate::merge::{self, Rule, View, Viewpoint};
+use crate::formats::{CloudSource, PlyDirectory, phase_file, ply, save_merged};
+use crate::merge;
 use crate::reconstruct::pipeline::Method;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -185,14 +185,8 @@ fn merge_again(out: &Path, one: &TriggerSummary) -> Result<usize, String> {
         return std::fs::remove_file(&path).map(|()| 0).map_err(failed);
     }
     let clouds = source.clouds(one.trigger, &places)?;
-    let from: Vec<Option<Viewpoint>> = clouds.iter().map(|(comments, _)| Viewpoint::of(comments)).collect();
-    let views = clouds.iter().zip(&from).zip(&places).map(|(((_, cloud), from), place)| View {
-        camera: source.cameras()[*place].0,
-        cloud,
-        from: from.as_ref(),
-    });
-    let views: Vec<View<'_>> = views.collect();
-    merge::save(&path, &views, &merge::left_out(&views, Rule::default()), comments).map_err(failed)
+    let numbers = places.iter().map(|place| source.cameras()[*place].0);
+    save_merged(&path, &clouds, numbers, comments).map_err(failed)
 }
 
 /// What a shard's summary says of a trigger, with the frames refused that an earlier collection has found to be of another trigger.

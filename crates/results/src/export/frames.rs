@@ -2,10 +2,10 @@
 //! A session's frames to pictures: `OUT/CAMERA/INDEX.png` (or `.tiff`), 8-bit grey without loss, the names that
 //! `fourdbody import` and `reconstruct` read.
 
-use super::job::{ExportError, claim};
+use super::job::claim;
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::{Mono8, encode_png_grey};
-use crate::base::write_whole;
+use crate::base::{Fault, write_whole};
 use crate::data::{Frame, FrameSource};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -98,11 +98,9 @@ pub fn run(
     source: &dyn FrameSource,
     plan: &FramePlan,
     progress: impl Fn(u64, u64) + Sync,
-) -> Result<FrameSummary, ExportError> {
-    let make = |folder: &Path| {
-        let failed = |e| ExportError::Write(format!("{}: {e}", folder.display()));
-        std::fs::create_dir_all(folder).map_err(failed)
-    };
+) -> Result<FrameSummary, Fault> {
+    let make =
+        |folder: &Path| std::fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()));
     make(&plan.out)?;
     let mut wanted = Map::new();
     for format in &plan.formats {
@@ -120,9 +118,9 @@ pub fn run(
     let (done, total) = (AtomicU64::new(0), frames.len() as u64);
     let summary = Mutex::new(FrameSummary { frames: frames.len(), ..FrameSummary::default() });
     frames.into_par_iter().with_max_len(1).try_for_each(|(trigger, camera)| {
-        export(source, plan, trigger, camera, &summary).map_err(ExportError::Write)?;
+        export(source, plan, trigger, camera, &summary)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-        Ok::<(), ExportError>(())
+        Ok::<(), Fault>(())
     })?;
     let mut summary = summary.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     summary.problems.sort();

@@ -13,10 +13,9 @@
 //! a folder takes files of one origin and one kind only: another one is refused. Of a cloud without points nothing is written.
 
 use super::mesh::{self, Mesh, MeshKind};
-use crate::base::{json, regular, write_whole};
-use crate::data::Cloud;
-use crate::formats::{CloudSource, Commented, Format, Shape};
-use crate::merge::{self, LeftOut, Rule, View, Viewpoint};
+use crate::base::{Exit, Fault, json, regular, write_whole};
+use crate::formats::{CloudSource, Commented, Format, Shape, merged_cloud};
+use crate::merge;
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -72,17 +71,6 @@ pub struct Summary {
     pub problems: Vec<String>,
 }
 
-/// Why an export stopped.
-#[derive(Debug, thiserror::Error)]
-pub enum ExportError {
-    /// The folder has files of another origin or kind.
-    #[error("{0}")]
-    Occupied(String),
-    /// Something could not be written.
-    #[error("{0}")]
-    Write(String),
-}
-
 /// One file to write.
 struct Output {
     path: PathBuf,
@@ -95,7 +83,7 @@ pub fn run(
     source: &dyn CloudSource,
     plan: &Plan,
     progress: impl Fn(u64, u64) + Sync,
-) -> Result<Summary, ExportError> {
+) -> Result<Summary, Fault> {
     state_origin(source, plan)?;
     let triggers: Vec<(&u64, &Vec<usize>)> = source.triggers().range(plan.triggers.clone()).collect();
     let (done, total) = (AtomicU64::new(0), triggers.len() as u64);
@@ -104,9 +92,9 @@ pub fn run(
     triggers.into_par_iter().with_max_len(1).try_for_each(|(trigger, there)| {
         let cameras: Vec<usize> =
             plan.cameras.iter().copied().filter(|camera| there.contains(camera)).collect();
-        job.trigger(*trigger, &cameras).map_err(ExportError::Write)?;
+        job.trigger(*trigger, &cameras)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-        Ok::<(), ExportError>(())
+        Ok::<(), Fault>(())
     })?;
     let mut summary = job.summary.into_inner().unwrap_or_else(PoisonError::into_inner);
     summary.problems.sort();
@@ -211,7 +199,7 @@ impl Job<'_> {
     ) -> Result<(), String> {
         let mut comments = merged_comments(clouds, cameras);
         let joined = |comments: &mut Vec<String>| {
-            let (cloud, left_out) = join(clouds, cameras);
+            let (cloud, left_out) = merged_cloud(clouds, cameras);
             let stated = || stated_removed(clouds, comments).map(merge::removed_comment);
             let lacks = left_out.comment().or_else(stated);
             comments.extend(lacks);
@@ -263,22 +251,6 @@ impl Job<'_> {
     }
 }
 
-/// The merged cloud of directional ones, by the rule of [`merge`]; number and name of each camera.
-pub fn merged_cloud(clouds: &[Commented], cameras: &[(u8, String)]) -> Cloud {
-    join(clouds, cameras).0
-}
-
-/// The same, and what it lacks.
-fn join(clouds: &[Commented], cameras: &[(u8, String)]) -> (Cloud, LeftOut) {
-    let from: Vec<Option<Viewpoint>> = clouds.iter().map(|(comments, _)| Viewpoint::of(comments)).collect();
-    let views = clouds.iter().zip(&from).zip(cameras);
-    let views =
-        views.map(|(((_, cloud), from), (camera, _))| View { camera: *camera, cloud, from: from.as_ref() });
-    let views: Vec<View<'_>> = views.collect();
-    let left_out = merge::left_out(&views, Rule::default());
-    (merge::merged(&views, &left_out), left_out)
-}
-
 fn merged_comments(clouds: &[Commented], cameras: &[(u8, String)]) -> Vec<String> {
     let first = clouds.first().map_or(&[][..], |(comments, _)| comments);
     let common = first.iter().filter(|comment| COMMON.iter().any(|key| comment.starts_with(key)));
@@ -295,7 +267,7 @@ fn stated_removed(clouds: &[Commented], merged: &[String]) -> Option<usize> {
 }
 
 /// Makes the folders, and writes down what they are for; an error where they are for something else.
-fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), ExportError> {
+fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), Fault> {
     let names: Vec<&str> = plan.cameras.iter().map(|&camera| source.cameras()[camera].1.as_str()).collect();
     let (of_trigger, of_camera) = folders(plan);
     let mut wanted = Map::new();
@@ -314,35 +286,35 @@ fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), ExportError
     for (needed, folder) in [(plan.merged, of_trigger), (plan.directional, of_camera)] {
         let path = plan.out.join(folder);
         if needed {
-            let failed = |e| ExportError::Write(format!("{}: {e}", path.display()));
-            std::fs::create_dir_all(&path).map_err(failed)?;
+            std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
         }
     }
     claim(&plan.out, wanted)
 }
 
 /// Writes statements to OUT/export.json; an error where one of them is there and says something else.
-pub fn claim(out: &Path, wanted: Map<String, Value>) -> Result<(), ExportError> {
+pub fn claim(out: &Path, wanted: Map<String, Value>) -> Result<(), Fault> {
     let path = out.join("export.json");
-    let fail = |e: &dyn std::fmt::Display| ExportError::Write(format!("{}: {e}", path.display()));
+    let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
     let mut stated: Map<String, Value> = match regular::read(&path, regular::STATEMENT_BYTES) {
         Ok(bytes) => json::from_slice(&bytes).map_err(|e| fail(&e))?,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Map::new(),
-        Err(e) => return Err(fail(&e)),
+        Err(e) => return Err(fail(&e).into()),
     };
     for (key, value) in wanted {
         match stated.get(&key) {
             Some(there) if *there != value => {
-                return Err(ExportError::Occupied(format!(
+                let message = format!(
                     "{}: its {key} were made of {there}, wanted is {value}; give another directory with --out, or delete \
                      them and their entry in {}",
                     out.display(),
                     path.display()
-                )));
+                );
+                return Err(Fault::new(Exit::Usage, message));
             }
             _ => drop(stated.insert(key, value)),
         }
     }
     let text = serde_json::to_string_pretty(&stated).map_err(|e| fail(&e))?;
-    write_whole(&path, |file| file.write_all((text + "\n").as_bytes())).map_err(|e| fail(&e))
+    Ok(write_whole(&path, |file| file.write_all((text + "\n").as_bytes())).map_err(|e| fail(&e))?)
 }

@@ -17,5 +17,4 @@ pub mod timing;
 /// Pictures of clouds.
 pub mod view;
 
-pub use job::merged_cloud;
 pub use sequence::{Contents, collect};

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clouds of any source into one sequence, in order of time.
 
-use super::job::{Summary, merged_cloud};
+use super::job::Summary;
 use crate::base::write_whole;
 use crate::data::Cloud;
-use crate::formats::CloudSource;
 use crate::formats::sequence::{Options, SequenceWriter};
+use crate::formats::{CloudSource, merged_cloud};
 use rayon::prelude::*;
 use std::io;
 use std::ops::Range;
@@ -113,7 +113,7 @@ fn messages(
     };
     let mut made = Vec::new();
     if contents.merged {
-        made.push(ready(None, &merged_cloud(&clouds, &numbered)));
+        made.push(ready(None, &merged_cloud(&clouds, &numbered).0));
     }
     if contents.directional {
         made.extend(clouds.iter().zip(numbered).map(|((_, cloud), (_, name))| ready(Some(name), cloud)));

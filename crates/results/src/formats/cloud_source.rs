@@ -4,7 +4,9 @@
 
 use super::ply;
 use crate::data::Cloud;
+use crate::merge::{self, LeftOut, Rule, View, Viewpoint};
 use std::collections::{BTreeMap, BTreeSet};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -30,6 +32,36 @@ pub trait CloudSource: Sync {
     fn time_ns(&self, _trigger: u64) -> Option<u64> {
         None
     }
+}
+
+/// Has the views of directional clouds for [`merge`], and what their merged cloud lacks; `numbers` in merged clouds.
+fn with_views<T>(
+    clouds: &[Commented],
+    numbers: impl Iterator<Item = u8>,
+    then: impl FnOnce(&[View<'_>], LeftOut) -> T,
+) -> T {
+    let from: Vec<Option<Viewpoint>> = clouds.iter().map(|(comments, _)| Viewpoint::of(comments)).collect();
+    let views = clouds.iter().zip(&from).zip(numbers);
+    let views = views.map(|(((_, cloud), from), camera)| View { camera, cloud, from: from.as_ref() });
+    let views: Vec<View<'_>> = views.collect();
+    let left_out = merge::left_out(&views, Rule::default());
+    then(&views, left_out)
+}
+
+/// The merged cloud of directional ones, by the rule of [`merge`], and what it lacks; number and name of each camera.
+pub fn merged_cloud(clouds: &[Commented], cameras: &[(u8, String)]) -> (Cloud, LeftOut) {
+    let numbers = cameras.iter().map(|(number, _)| *number);
+    with_views(clouds, numbers, |views, left_out| (merge::merged(views, &left_out), left_out))
+}
+
+/// Writes the merged cloud of directional ones with these comments and what it lacks; the number of its points.
+pub fn save_merged(
+    path: &Path,
+    clouds: &[Commented],
+    numbers: impl Iterator<Item = u8>,
+    comments: Vec<String>,
+) -> io::Result<usize> {
+    with_views(clouds, numbers, |views, left_out| merge::save(path, views, &left_out, comments))
 }
 
 /// What `reconstruct` wrote: `clouds/CAMERA_INDEX.ply`, or only `merged/INDEX.ply`.

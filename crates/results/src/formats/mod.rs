@@ -13,7 +13,7 @@ pub mod sequence;
 mod shape;
 mod text;
 
-pub use cloud_source::{CloudSource, Commented, PlyDirectory};
+pub use cloud_source::{CloudSource, Commented, PlyDirectory, merged_cloud, save_merged};
 pub use format::Format;
 pub use fourdbody_core::formats::{npz, phase_file, ply};
 pub use shape::Shape;

@@ -14,7 +14,7 @@ pub use projector::{PanelRows, Response};
 pub use world::World;
 
 use crate::base::ids::{CameraId, HeadId};
-use crate::base::{json, regular, write_whole};
+use crate::base::{FileError, json, regular, write_whole};
 use crate::config::{Channel, Rig};
 use crate::geometry::Device;
 use crate::geometry::pattern::Pattern;
@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::io::Write;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// One calibrated camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -142,27 +142,6 @@ pub struct DeviceUncertainty {
     pub sigma: std::collections::BTreeMap<String, f64>,
 }
 
-/// Why a calibration could not be used.
-#[derive(Debug, thiserror::Error)]
-pub enum CalibrationError {
-    /// The file could not be read or written.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The file is not a calibration that this version understands, or is damaged.
-    #[error("{path}: {reason}; expected a calibration.json as `fourdbody calibrate` writes it")]
-    Invalid {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        reason: String,
-    },
-}
-
 /// Pixels along a side of a camera or a panel, as the rig file has them at most.
 const SIDE_MAX: usize = 16_384;
 /// Cameras that a merged cloud can name.
@@ -226,10 +205,12 @@ impl Calibration {
     }
 
     /// Reads and checks a calibration file.
-    pub fn load(path: &Path) -> Result<Self, CalibrationError> {
-        let bytes = regular::read(path, regular::STATEMENT_BYTES)
-            .map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
-        Self::parse(&bytes).map_err(|reason| CalibrationError::Invalid { path: path.to_owned(), reason })
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        let bytes = regular::read(path, regular::STATEMENT_BYTES).map_err(FileError::of(path))?;
+        Self::parse(&bytes).map_err(|reason| {
+            let expected = "expected a calibration.json as `fourdbody calibrate` writes it";
+            FileError::of(path)(format!("{reason}; {expected}"))
+        })
     }
 
     /// Checks the bytes of a calibration file.
@@ -260,10 +241,9 @@ impl Calibration {
     }
 
     /// Writes the file through a temporary neighbour, so that it is never half there.
-    pub fn save(&self, path: &Path) -> Result<(), CalibrationError> {
-        let io_error = |source| CalibrationError::Io { path: path.to_owned(), source };
-        let text = self.text().map_err(|e| io_error(std::io::Error::other(e)))?;
-        write_whole(path, |file| file.write_all(text.as_bytes())).map_err(io_error)
+    pub fn save(&self, path: &Path) -> Result<(), FileError> {
+        let text = self.text().map_err(FileError::of(path))?;
+        write_whole(path, |file| file.write_all(text.as_bytes())).map_err(FileError::of(path))
     }
 
     /// What the file holds.

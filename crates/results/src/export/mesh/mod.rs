@@ -48,7 +48,10 @@ impl Mesh {
         self.vertices.merge(&other.vertices, camera);
         self.triangles.extend(other.triangles.iter().map(|corners| corners.map(|corner| first + corner)));
     }
+}
 
+#[cfg(test)]
+impl Mesh {
     /// Enclosed volume of a closed mesh, cubic metres (negative if it is inside out).
     pub fn volume_m3(&self) -> f64 {
         let six = self.triangles.iter().map(|&corners| {
