@@ -7,9 +7,9 @@ use super::failure::{Failure, tell_lost, tell_made_up_times};
 use super::progress::Progress;
 use crate::base::Exit;
 use crate::base::ids::CameraId;
-use crate::base::write_whole;
+use crate::base::json;
 use crate::batch::binned::{BinnedSource, MOST_ROWS};
-use crate::batch::collect_shards::{self, Lack, Shards};
+use crate::batch::collect_shards::{self, Shards};
 use crate::batch::image_tree::ImageTree;
 use crate::batch::png_source::PngSource;
 use crate::batch::run::{self, Format, Plan};
@@ -23,7 +23,7 @@ use crate::reconstruct::pipeline::Method;
 use crate::record::{ReadError, SessionReader};
 use clap::ValueEnum;
 use staged::Staged;
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -228,14 +228,7 @@ impl What {
             let readable: Vec<CameraId> = cameras.iter().filter(|id| !is_lost(id)).cloned().collect();
             calibration.fits(&readable, &stated).map_err(|e| usage(&e))?;
         }
-        let all = source.triggers();
-        let triggers = match &self.triggers {
-            None => all,
-            Some(wanted) if wanted.start >= all.start && wanted.end <= all.end => wanted.clone(),
-            Some(wanted) => {
-                return Err(usage(&format!("--triggers {wanted:?}: the session has triggers {all:?}")));
-            }
-        };
+        let triggers = super::export::chosen_triggers(self.triggers.as_ref(), source.triggers())?;
         if matches!(self.method, MethodName::Paper) && calibration.pattern.marker_every > 0 {
             let message = "--method paper: the paper's pattern has one marker, this calibration's has several; use the default method";
             return Err(usage(&message));
@@ -345,7 +338,12 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
         .map_err(|e| Failure::new(Exit::Failure, e))?;
     let mut summary = match args.collect {
         None => reconstruct(args, &pool, source.as_ref(), &calibration, &plan)?,
-        Some(count) => collected(&pool, Shards::new(session, &plan, &calibration, count))?,
+        Some(count) => {
+            let shards = Shards::new(session, &plan, &calibration, count)
+                .map_err(|e| Failure::new(Exit::Failure, e))?;
+            collect_shards::remove_leftovers(&plan.out);
+            pool.install(|| collect_shards::collect(&shards))?
+        }
     };
     // A frame of another trigger is known by those around it, which other shards have.
     if args.shard.is_none() {
@@ -419,16 +417,6 @@ fn reconstruct(
     Ok(summary)
 }
 
-/// The summary of all shards.
-fn collected(pool: &rayon::ThreadPool, shards: Result<Shards<'_>, String>) -> Result<Summary, Failure> {
-    let shards = shards.map_err(|e| Failure::new(Exit::Failure, e))?;
-    shards.remove_leftovers();
-    pool.install(|| collect_shards::collect(&shards)).map_err(|error| {
-        let agree = error.problems.iter().all(|problem| problem.lack == Lack::Work);
-        Failure::new(if agree { Exit::Failure } else { Exit::Usage }, error)
-    })
-}
-
 /// What `--timings` writes.
 #[derive(serde::Serialize)]
 struct Cost {
@@ -451,9 +439,7 @@ fn peak_memory_bytes() -> u64 {
 }
 
 pub(super) fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), Failure> {
-    let fail = |e: &dyn std::fmt::Display| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
-    let text = serde_json::to_string_pretty(value).map_err(|e| fail(&e))?;
-    write_whole(path, |file| writeln!(file, "{text}")).map_err(|e| fail(&e))
+    json::save(path, value).map_err(|e| Failure::new(Exit::Failure, e))
 }
 
 fn report(args: &Args, summary: &Summary) {

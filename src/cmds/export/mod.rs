@@ -215,7 +215,7 @@ fn calibration(args: &Args) -> Result<Calibration, Failure> {
 }
 
 /// The wanted triggers, all of which must be there.
-fn chosen_triggers(wanted: Option<&Range<u64>>, all: Range<u64>) -> Result<Range<u64>, Failure> {
+pub(super) fn chosen_triggers(wanted: Option<&Range<u64>>, all: Range<u64>) -> Result<Range<u64>, Failure> {
     match wanted {
         None => Ok(all),
         Some(wanted) if wanted.start >= all.start && wanted.end <= all.end => Ok(wanted.clone()),

@@ -9,6 +9,8 @@ use serde::de::{
     DeserializeOwned, DeserializeSeed, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess, Visitor,
 };
 use std::fmt;
+use std::io::Write;
+use std::path::Path;
 
 /// A value that was read so.
 #[derive(Debug)]
@@ -34,6 +36,16 @@ pub fn from_slice<T: DeserializeOwned>(bytes: &[u8]) -> serde_json::Result<T> {
 /// What is wrong in it.
 pub fn from_value<T: DeserializeOwned>(value: serde_json::Value) -> serde_json::Result<T> {
     serde_json::from_value(value).map(|Strict(value)| value)
+}
+
+/// Writes a value as a JSON file for people, which is never half there.
+///
+/// # Errors
+/// What could not be written; it names the file.
+pub fn save(path: &Path, value: &impl serde::Serialize) -> Result<(), String> {
+    let failed = |e: &dyn fmt::Display| format!("{}: {e}", path.display());
+    let text = serde_json::to_string_pretty(value).map_err(|e| failed(&e))?;
+    super::write_whole(path, |file| writeln!(file, "{text}")).map_err(|e| failed(&e))
 }
 
 /// Around whatever takes part in reading: it passes everything on, and asks for an object where fields are expected.

@@ -22,7 +22,7 @@ pub use node::{
 pub use pixel::{Mosaic, Pixel};
 pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
 pub use section::Section;
-pub use trigger::{ActionConfig, TriggerSource};
+pub use trigger::{ACTION_COMMANDS, ActionConfig, TriggerSource};
 pub use words::{AUTO, CameraWords, Edge, FEATURES_OF_WORDS, PacketDelay, word_of};
 pub use worker::{Order, Output, WorkerConfig, WorkerNode};
 

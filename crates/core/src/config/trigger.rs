@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
+/// What action commands are called where a serial device would be named.
+pub const ACTION_COMMANDS: &str = "action commands";
+
 /// What triggers the cameras.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum TriggerSource {
@@ -50,7 +53,7 @@ impl TriggerSource {
     pub fn device(&self) -> PathBuf {
         match self {
             Self::Hsu { device, .. } => device.clone(),
-            Self::Action(_) => PathBuf::from("action commands"),
+            Self::Action(_) => PathBuf::from(ACTION_COMMANDS),
         }
     }
 

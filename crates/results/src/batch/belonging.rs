@@ -5,9 +5,9 @@
 //! What is *foreign* says something else than these three: it is not used. What is *missing* has points by the summary and is not there.
 //! What the summary says nothing of, because the last run was one over other triggers, is left out: nothing says how it went.
 
-use super::collect_shards::{load_summary, named, summary_path};
+use super::files::{named, summary_path};
 use super::key::Key;
-use super::summary::{FrameSummary, TriggerSummary};
+use super::summary::{FrameSummary, TriggerSummary, load_summary};
 use crate::formats::{CloudSource, Commented};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -118,8 +118,7 @@ impl Expected {
                 ));
             }
         }
-        let of_trigger = self.points.as_ref().and_then(|points| points.get(&trigger));
-        let stated = match (of_trigger, camera) {
+        let stated = match (self.at(trigger), camera) {
             (Some(frames), Some(camera)) => {
                 Some(*frames.get(camera).ok_or("summary.json says that this frame has no cloud")?)
             }
@@ -134,16 +133,19 @@ impl Expected {
         }
     }
 
+    /// Points of a trigger's frames by camera.
+    fn at(&self, trigger: u64) -> Option<&BTreeMap<String, usize>> {
+        self.points.as_ref()?.get(&trigger)
+    }
+
     /// The cameras that have a file of a trigger by the summary.
     pub fn cameras_at(&self, trigger: u64) -> BTreeSet<String> {
-        let of_trigger = self.points.as_ref().and_then(|points| points.get(&trigger));
-        of_trigger.into_iter().flat_map(|frames| frames.keys().cloned()).collect()
+        self.at(trigger).into_iter().flat_map(|frames| frames.keys().cloned()).collect()
     }
 
     /// Whether a trigger has points by the summary.
     pub fn has_points(&self, trigger: u64) -> bool {
-        let of_trigger = self.points.as_ref().and_then(|points| points.get(&trigger));
-        of_trigger.is_some_and(|frames| frames.values().any(|points| *points > 0))
+        self.at(trigger).is_some_and(|frames| frames.values().any(|points| *points > 0))
     }
 
     /// The triggers that have points by the summary.
@@ -153,8 +155,7 @@ impl Expected {
 
     /// The cameras that have points at a trigger by the summary, and no file.
     pub fn missing_at(&self, trigger: u64, there: &Listed) -> impl Iterator<Item = &str> {
-        let of_trigger = self.points.as_ref().and_then(|points| points.get(&trigger));
-        let lit = of_trigger.into_iter().flatten().filter(|(_, points)| **points > 0);
+        let lit = self.at(trigger).into_iter().flatten().filter(|(_, points)| **points > 0);
         let there = there.get(&trigger).cloned().unwrap_or_default();
         lit.map(|(camera, _)| camera.as_str()).filter(move |camera| !there.contains(*camera))
     }

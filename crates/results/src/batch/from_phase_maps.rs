@@ -6,15 +6,14 @@
 //! ```
 
 use super::belonging::{Expected, listed};
-use super::collect_shards::{load_summary, remove_leftovers, summary_path};
+use super::files::{cloud_path, merged_path, phase_path, remove_leftovers, summary_path, time_by_index_ns};
 use super::key::Key;
-use super::run::{cloud_path, merged_path, time_by_index_ns};
-use super::summary::Summary;
+use super::summary::{Summary, load_summary};
 use crate::base::{Exit, Fault, write_whole};
 use crate::data::{CalibratedCamera, Calibration, Cloud};
 use crate::formats::phase_file::{self, Statement};
 use crate::formats::sequence::SequenceWriter;
-use crate::formats::{CloudSource, Commented, ply, save_merged};
+use crate::formats::{CloudSource, Commented, named, ply, save_merged};
 use crate::merge::{self, Viewpoint};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::points;
@@ -25,11 +24,6 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
-
-/// Where a phase map is.
-pub fn phase_path(out: &Path, camera: &str, trigger: u64) -> PathBuf {
-    out.join("phases").join(format!("{camera}_{trigger:06}.phase"))
-}
 
 /// What a map states of the calibration that clouds are made with: its hash, and its volume, m.
 pub type Geometry = (String, [[f64; 3]; 2]);
@@ -295,8 +289,7 @@ fn list(from: &Path, calibration: &Calibration) -> Result<BTreeMap<u64, Maps>, S
     for entry in std::fs::read_dir(&folder).map_err(fail)? {
         let path = entry.map_err(fail)?.path();
         let Some(stem) = path.file_name().and_then(|n| n.to_str()?.strip_suffix(".phase")) else { continue };
-        let named = stem.rsplit_once('_').and_then(|(camera, index)| Some((camera, index.parse().ok()?)));
-        let Some((camera, trigger)) = named else { continue };
+        let Some((trigger, Some(camera))) = named(stem) else { continue };
         let number = calibration.cameras().position(|(_, known)| known.id.as_str() == camera);
         let number =
             number.ok_or_else(|| format!("{}: the calibration has no such camera", path.display()))?;

@@ -4,7 +4,7 @@
 //!
 //! The files say by themselves what else they depend on: the frames of their trigger ([`super::run`]).
 
-use super::run::{Format, Plan, method_name};
+use super::plan::{Format, Plan, method_name};
 use crate::base::ids::CameraId;
 use crate::base::{Exit, Fault, json, regular, write_new};
 use crate::data::{Calibration, SessionIdentity};

@@ -11,12 +11,16 @@ pub mod binned;
 pub mod collect_shards;
 /// Maps as pictures.
 pub mod dump_maps;
+/// Where the files of a result are, and what they state.
+pub mod files;
 /// Stored phase maps to clouds.
 pub mod from_phase_maps;
 /// Directories of images.
 pub mod image_tree;
 /// What a result is made of.
 pub mod key;
+/// What a run is to do.
+pub mod plan;
 /// Frames from PNG files.
 pub mod png_source;
 /// What a reconstruction wrote, as clouds.

@@ -3,11 +3,11 @@
 //! same files in one directory), or those of its phase maps (`phases/CAMERA_TRIGGER.phase`), made with the calibration beside them.
 
 use super::belonging::{Expected, Held, Listed};
-use super::collect_shards::named as list;
+use super::files::named as list;
 use super::from_phase_maps::{self, PhaseDirectory};
 use super::key::calibration_path;
 use crate::data::Calibration;
-use crate::formats::{CloudSource, Commented, merged_cloud, ply};
+use crate::formats::{CloudSource, Commented, merged_cloud, named, ply};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -195,15 +195,6 @@ fn load_ply(path: &Path) -> Result<Commented, String> {
 
 fn load_held(path: &Path, expected: &Expected) -> Result<Commented, String> {
     held(path, expected, load_ply(path)?)
-}
-
-/// Trigger and camera by a file's name: `CAMERA_TRIGGER`, or `TRIGGER` of a merged cloud.
-fn named(stem: &str) -> Option<(u64, Option<&str>)> {
-    if let Ok(trigger) = stem.parse() {
-        return Some((trigger, None));
-    }
-    let (camera, index) = stem.rsplit_once('_')?;
-    Some((index.parse().ok()?, Some(camera)))
 }
 
 /// A cloud that is what its file's name says, and of this result.

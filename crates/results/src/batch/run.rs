@@ -20,8 +20,8 @@
 mod finished;
 mod written;
 
-use super::collect_shards::remove_leftovers;
-use super::from_phase_maps::{self, phase_path};
+use super::files::{cameras_comment, frame_path, remove_leftovers};
+use super::from_phase_maps;
 use super::key::Key;
 use crate::base::Fault;
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -31,130 +31,19 @@ use crate::data::{Calibration, Cloud, Frame, FrameSource};
 use crate::formats::ply;
 use crate::merge::{self, Viewpoint};
 use crate::reconstruct::frame_set::{self, Stage};
-use crate::reconstruct::fringe_order::{self, MostDifference};
-use crate::reconstruct::pipeline::{Method, Pipeline, Workspace};
+use crate::reconstruct::pipeline::{Pipeline, Workspace};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
 use rayon::prelude::*;
-use std::fmt::Display;
-use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
+pub use super::files::{cloud_path, merged_path, time_by_index_ns};
+pub use super::plan::{Format, Plan};
 pub use super::summary::{FrameSummary, Summary, TriggerSummary};
 pub use crate::batch::timings::Timings;
-
-/// What is written of each frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Format {
-    /// Phase maps, of which `from_phase_maps::export` makes the same clouds.
-    Phase,
-    /// Clouds, merged clouds and the sequence.
-    Ply,
-}
-
-impl Format {
-    /// As the command line calls it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Phase => "phase",
-            Self::Ply => "ply",
-        }
-    }
-
-    /// The names of some, with commas between them.
-    pub fn names(formats: &[Self]) -> String {
-        formats.iter().map(|format| format.name()).collect::<Vec<_>>().join(",")
-    }
-
-    fn folders(self) -> &'static [&'static str] {
-        match self {
-            Self::Phase => &["phases"],
-            Self::Ply => &["clouds", "merged"],
-        }
-    }
-}
-
-/// What to do.
-#[derive(Debug)]
-pub struct Plan {
-    /// Where the results go.
-    pub out: PathBuf,
-    /// Which triggers.
-    pub triggers: Range<u64>,
-    /// Which cameras; all are in the calibration.
-    pub cameras: Vec<CameraId>,
-    /// This share of the triggers: those whose index leaves `shard.0` when divided by `shard.1`.
-    pub shard: (u64, u64),
-    /// How the absolute phase is found.
-    pub method: Method,
-    /// By how much a fringe order must lead any other.
-    pub margin: f32,
-    /// Cameras that differ by more contradict the calibration, and the trigger is refused.
-    pub most_difference: MostDifference,
-    /// Rows of the photographs that make one row of the source's frames ([`super::binned`]).
-    pub bin_rows: usize,
-    /// What is written, each once, in order.
-    pub formats: Vec<Format>,
-    /// Whether every point gets its standard uncertainty.
-    pub uncertainty: bool,
-    /// Where the maps of every frame go, if anywhere.
-    pub maps: Option<PathBuf>,
-    /// Makes the clouds and keeps none, and merges nothing: for measurements of the reconstruction itself.
-    pub discard: bool,
-}
-
-impl Default for Plan {
-    /// What the command line does unless it is told otherwise, of no frames.
-    fn default() -> Self {
-        Self {
-            out: PathBuf::new(),
-            triggers: 0..0,
-            cameras: Vec::new(),
-            shard: (0, 1),
-            method: Method::Joint,
-            margin: fringe_order::MARGIN,
-            most_difference: MostDifference::of_rows(1),
-            bin_rows: 1,
-            formats: vec![Format::Phase],
-            uncertainty: false,
-            maps: None,
-            discard: false,
-        }
-    }
-}
-
-impl Plan {
-    /// The triggers of this shard, in order.
-    pub fn shard_triggers(&self) -> impl Iterator<Item = u64> + '_ {
-        self.triggers.clone().filter(|t| t % self.shard.1.max(1) == self.shard.0)
-    }
-
-    /// Whether the clouds of a trigger are put together: else nobody needs them once they are made.
-    pub fn merges(&self) -> bool {
-        self.formats.contains(&Format::Ply) && !self.discard
-    }
-}
-
-/// The name of a method on the command line and in files.
-pub fn method_name(method: Method) -> &'static str {
-    match method {
-        Method::Joint => "joint",
-        Method::Paper => "paper",
-    }
-}
-
-/// Where a directional cloud is.
-pub fn cloud_path(out: &Path, camera: impl Display, trigger: u64) -> PathBuf {
-    out.join("clouds").join(format!("{camera}_{trigger:06}.ply"))
-}
-
-/// Where a merged cloud is.
-pub fn merged_path(out: &Path, trigger: u64) -> PathBuf {
-    out.join("merged").join(format!("{trigger:06}.ply"))
-}
 
 struct Job<'a> {
     source: &'a dyn FrameSource,
@@ -190,11 +79,6 @@ pub fn write_sequence(plan: &Plan, summary: &Summary, rate_hz: f64) -> Result<()
         (time_ns.unwrap_or_else(|| time_by_index_ns(trigger, rate_hz)), merged_path(&plan.out, trigger))
     });
     from_phase_maps::write_sequence(clouds, &plan.out.join("sequence.mcap"))
-}
-
-/// When a trigger is where nothing says when it was: by index at this rate, from 0 on, ns.
-pub fn time_by_index_ns(trigger: u64, rate_hz: f64) -> u64 {
-    (trigger as f64 * 1e9 / rate_hz).round() as u64
 }
 
 /// The cameras that are asked for, those of a head together, each with its tables: they take longer than a frame.
@@ -264,11 +148,6 @@ pub fn run(
     let mut timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     (timings.wall_ms, timings.cpu_ms, timings.threads) = (wall_ms, cpu_ms, rayon::current_num_threads());
     Ok((summary, timings))
-}
-
-/// The comment that names the cameras that a directional cloud depends on.
-pub(crate) fn cameras_comment<'a>(cameras: impl Iterator<Item = &'a CameraId>) -> String {
-    format!("together {}", cameras.map(CameraId::as_str).collect::<Vec<_>>().join(" "))
 }
 
 /// The comment that tells the frames that a trigger's clouds depend on, by the CRC-32 of their pixels: `gap` where there is none, and
@@ -373,21 +252,13 @@ impl Job<'_> {
             Stage::Made(result) => self.save(camera, trigger, *result, &frames),
             Stage::Missing(outcome, reason) => {
                 for &format in self.plan.formats.iter().filter(|_| !self.plan.discard) {
-                    remove(&self.frame_path(camera, trigger, format))?;
+                    remove(&frame_path(&self.plan.out, format, &camera.id, trigger))?;
                 }
                 Ok((FrameSummary::missing(&camera.id, outcome, reason), Cloud::default()))
             }
         });
         let made: Result<Vec<_>, String> = work.collect();
         Ok((made?, frames))
-    }
-
-    /// Where a frame's cloud or map is.
-    fn frame_path(&self, camera: &Camera, trigger: u64, format: Format) -> PathBuf {
-        match format {
-            Format::Ply => cloud_path(&self.plan.out, &camera.id, trigger),
-            Format::Phase => phase_path(&self.plan.out, camera.id.as_str(), trigger),
-        }
     }
 
     /// The comment that tells the frames of a trigger as the source has them now.
@@ -456,7 +327,7 @@ impl Job<'_> {
         let load = |(camera, summary): (&Camera, FrameSummary)| {
             let cloud = match summary.outcome.as_ref() {
                 "cloud" | "refused" if self.plan.merges() => {
-                    ply::load(&self.frame_path(camera, trigger, Format::Ply)).ok()?.1
+                    ply::load(&cloud_path(&self.plan.out, &camera.id, trigger)).ok()?.1
                 }
                 _ => Cloud::default(),
             };

@@ -5,8 +5,9 @@
 //! This is done when all triggers of a run are there, at its end or when its shards are collected, so that the result is the same
 //! however it was come to.
 
-use super::from_phase_maps::{PhaseDirectory, phase_path};
-use super::run::{Format, Plan, cloud_path, merged_path};
+use super::files::{frame_path, merged_path, stated};
+use super::from_phase_maps::PhaseDirectory;
+use super::plan::{Format, Plan};
 use super::summary::{FrameSummary, Summary, TriggerSummary};
 use super::witness::{self, REACH, Said, Sketch, Sketches};
 use crate::base::ids::CameraId;
@@ -146,25 +147,22 @@ fn sketch(
 /// Makes the files of a frame those of a refused one.
 fn refuse_files(plan: &Plan, camera: &CameraId, trigger: u64, reason: &str) -> Result<(), String> {
     let refused = format!("refused {reason}");
-    for format in &plan.formats {
-        match format {
+    for &format in &plan.formats {
+        let path = frame_path(&plan.out, format, camera, trigger);
+        let saved = match format {
             Format::Phase => {
-                let path = phase_path(&plan.out, camera.as_str(), trigger);
                 let (mut statement, map) = phase_file::load(&path).map_err(|e| e.to_string())?;
                 statement.points = 0;
                 statement.comments.push(refused.clone());
-                let empty = PhaseMap { frame: map.frame, ..PhaseMap::default() };
-                phase_file::save(&path, &statement, &empty)
-                    .map_err(|e| format!("{}: {e}", path.display()))?;
+                phase_file::save(&path, &statement, &PhaseMap { frame: map.frame, ..PhaseMap::default() })
             }
             Format::Ply => {
-                let path = cloud_path(&plan.out, camera, trigger);
                 let mut comments = ply::load_header(&path).map_err(|e| e.to_string())?.comments;
                 comments.push(refused.clone());
-                let saved = ply::save(&path, &Cloud::default(), &comments);
-                saved.map_err(|e| format!("{}: {e}", path.display()))?;
+                ply::save(&path, &Cloud::default(), &comments)
             }
-        }
+        };
+        saved.map_err(|e| format!("{}: {e}", path.display()))?;
     }
     Ok(())
 }
@@ -194,16 +192,9 @@ fn merge_again(out: &Path, one: &TriggerSummary) -> Result<usize, String> {
 pub fn adopt(out: &Path, formats: &[Format], one: &mut TriggerSummary) -> bool {
     let mut any = false;
     for frame in &mut one.frames {
-        let comments = match formats.first() {
-            Some(Format::Phase) => {
-                let path = phase_path(out, frame.camera.as_str(), one.trigger);
-                phase_file::load_statement(&path).map(|statement| statement.comments).unwrap_or_default()
-            }
-            _ => {
-                let path = cloud_path(out, &frame.camera, one.trigger);
-                ply::load_whole_header(&path).map(|header| header.comments).unwrap_or_default()
-            }
-        };
+        let format = formats.first().copied().unwrap_or(Format::Ply);
+        let comments =
+            stated(out, format, &frame.camera, one.trigger).map_or_else(Vec::new, |found| found.comments);
         let reason = comments.iter().find_map(|comment| comment.strip_prefix("refused "));
         if let Some(reason) = reason.filter(|reason| reason.starts_with(SHOWN)) {
             set_refused(frame, reason.to_owned());

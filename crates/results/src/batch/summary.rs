@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What became of every frame of a run: `OUT/summary.json`.
 
+use super::files::summary_path;
 use super::key::Key;
-use super::run::Plan;
+use super::plan::Plan;
 use super::unchecked::unchecked;
 use crate::base::ids::CameraId;
-use crate::base::write_whole;
+use crate::base::{json, regular};
 use crate::data::{Calibration, SessionIdentity};
 use crate::reconstruct::outcome::NO_OBJECT;
 use crate::reconstruct::paper;
@@ -13,8 +14,15 @@ use crate::reconstruct::pipeline::Method;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::Path;
+
+/// The summary of a run over all triggers.
+pub fn load_summary(out: &Path) -> Result<Summary, String> {
+    let path = summary_path(out, None);
+    let text =
+        regular::read(&path, regular::SUMMARY_BYTES).map_err(|e| format!("{}: {e}", path.display()))?;
+    json::from_slice(&text).map_err(|e| format!("{}: {e}; another version wrote it", path.display()))
+}
 
 /// What became of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -108,9 +116,7 @@ pub struct Summary {
 impl Summary {
     /// Writes it, which is never half there. The error names the file.
     pub fn save(&self, path: &Path) -> Result<(), String> {
-        let failed = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
-        let text = serde_json::to_string_pretty(self).map_err(|e| failed(&e))?;
-        write_whole(path, |file| writeln!(file, "{text}")).map_err(|e| failed(&e))
+        json::save(path, self)
     }
 
     /// What became of all triggers together.

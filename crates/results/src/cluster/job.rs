@@ -2,9 +2,8 @@
 //! What was submitted: `OUT/cluster/job.json`.
 
 use super::sizing::Sizing;
-use crate::base::{json, regular, write_whole};
+use crate::base::{json, regular};
 use serde::{Deserialize, Serialize};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Raised whenever a reader would have to know more.
@@ -109,9 +108,7 @@ impl Job {
 
     /// Writes it beside its scripts.
     pub fn save(&self) -> Result<(), String> {
-        let path = Self::path(&self.work.out);
-        let text = serde_json::to_string_pretty(self).map_err(|e| e.to_string())?;
-        write_whole(&path, |file| writeln!(file, "{text}")).map_err(|e| format!("{}: {e}", path.display()))
+        json::save(&Self::path(&self.work.out), self)
     }
 
     /// Frame sets of a shard: the triggers that leave its number when divided by the number of shards.

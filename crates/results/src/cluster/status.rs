@@ -7,10 +7,9 @@
 use super::job::Job;
 use super::slurm::{Answer, Task};
 use crate::base::{json, regular};
-use crate::batch::collect_shards::summary_path;
-use crate::batch::run::merged_path;
+use crate::batch::files::{merged_path, summary_path};
 use crate::batch::summary::Summary;
-use crate::formats::{phase_file, ply};
+use crate::formats::{named, phase_file, ply};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -165,7 +164,7 @@ fn count_results(job: &Job, unfinished: &BTreeSet<u64>) -> BTreeMap<u64, u64> {
             let path = entry.path();
             let stem =
                 path.file_name()?.to_str()?.strip_suffix(if job.work.phase { ".phase" } else { ".ply" })?;
-            let index = stem.rsplit_once('_').map_or(stem, |(_, index)| index).parse::<u64>().ok()?;
+            let (index, _) = named(stem)?;
             (job.work.triggers[0]..job.work.triggers[1]).contains(&index).then_some((index, path))
         })
         .filter(|(index, _)| unfinished.contains(&(index % job.shards)))

@@ -22,6 +22,7 @@ pub enum Picture {
     /// PNG.
     Png,
     /// TIFF, not compressed.
+    #[cfg(feature = "tiff")]
     Tiff,
 }
 
@@ -30,6 +31,7 @@ impl Picture {
     pub fn extension(self) -> &'static str {
         match self {
             Self::Png => "png",
+            #[cfg(feature = "tiff")]
             Self::Tiff => "tiff",
         }
     }
@@ -40,12 +42,13 @@ impl Picture {
     }
 
     fn write(self, out: impl Write + Seek, image: Mono8<'_>) -> io::Result<()> {
-        let side = |side: usize| u32::try_from(side).map_err(io::Error::other);
         // Dropped with bytes in it, it would not tell that they could not be written.
         let mut out = BufWriter::new(out);
         match self {
             Self::Png => encode_png_grey(&mut out, image)?,
+            #[cfg(feature = "tiff")]
             Self::Tiff => {
+                let side = |side: usize| u32::try_from(side).map_err(io::Error::other);
                 let (width, height) = (side(image.width())?, side(image.height())?);
                 let mut encoder = tiff::encoder::TiffEncoder::new(&mut out).map_err(io::Error::other)?;
                 encoder
@@ -205,7 +208,11 @@ mod tests {
     fn a_picture_that_does_not_fit_is_no_success() {
         let pixels: Vec<u8> = (0..60 * 40).map(|i| (i * 7 % 251) as u8).collect();
         let image = Mono8::new(60, 40, &pixels).expect("a picture");
-        for format in [Picture::Png, Picture::Tiff] {
+        for format in [
+            Picture::Png,
+            #[cfg(feature = "tiff")]
+            Picture::Tiff,
+        ] {
             let write = |room| {
                 let mut medium = Medium { file: Cursor::new(Vec::new()), room };
                 format.write(&mut medium, image).map(|()| medium.file.into_inner().len())

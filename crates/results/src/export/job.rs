@@ -13,13 +13,12 @@
 //! a folder takes files of one origin and one kind only: another one is refused. Of a cloud without points nothing is written.
 
 use super::mesh::{self, Mesh, MeshKind};
-use crate::base::{Exit, Fault, json, regular, write_whole};
+use crate::base::{Exit, Fault, json, regular};
 use crate::formats::{CloudSource, Commented, Format, Shape, merged_cloud};
 use crate::merge;
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
-use std::io::Write;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -315,6 +314,5 @@ pub fn claim(out: &Path, wanted: Map<String, Value>) -> Result<(), Fault> {
             _ => drop(stated.insert(key, value)),
         }
     }
-    let text = serde_json::to_string_pretty(&stated).map_err(|e| fail(&e))?;
-    Ok(write_whole(&path, |file| file.write_all((text + "\n").as_bytes())).map_err(|e| fail(&e))?)
+    Ok(json::save(&path, &stated)?)
 }

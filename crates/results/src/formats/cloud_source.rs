@@ -79,8 +79,7 @@ impl PlyDirectory {
         let mut found: BTreeMap<u64, BTreeSet<String>> = BTreeMap::new();
         let mut names: BTreeSet<String> = BTreeSet::new();
         for stem in stems(&directory.join("clouds")) {
-            let named = stem.rsplit_once('_').and_then(|(camera, index)| Some((camera, index.parse().ok()?)));
-            let Some((camera, trigger)) = named else { continue };
+            let Some((trigger, Some(camera))) = named(&stem) else { continue };
             names.insert(camera.to_owned());
             found.entry(trigger).or_default().insert(camera.to_owned());
         }
@@ -143,6 +142,15 @@ fn stems(directory: &Path) -> Vec<String> {
     let mut stems: Vec<String> = entries.flatten().filter_map(stem).collect();
     stems.sort();
     stems
+}
+
+/// Trigger and camera by a file's name: `CAMERA_TRIGGER`, or `TRIGGER` of a merged cloud.
+pub(crate) fn named(stem: &str) -> Option<(u64, Option<&str>)> {
+    if let Ok(trigger) = stem.parse() {
+        return Some((trigger, None));
+    }
+    let (camera, index) = stem.rsplit_once('_')?;
+    Some((index.parse().ok()?, Some(camera)))
 }
 
 fn merged_path(directory: &Path, trigger: u64) -> PathBuf {

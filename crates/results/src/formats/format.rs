@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The formats that points and meshes are exported to.
 
+#[cfg(feature = "e57")]
+use super::e57;
 use super::shape::Shape;
-use super::{e57, glb, pcd, ply, text};
+use super::{glb, pcd, ply, text};
 use crate::base::write_whole;
 use std::io;
 use std::path::Path;
@@ -19,6 +21,7 @@ pub enum Format {
     /// Columns of text.
     Xyz,
     /// E57, a scan a camera.
+    #[cfg(feature = "e57")]
     E57,
     /// glTF 2.0, binary.
     Glb,
@@ -27,10 +30,6 @@ pub enum Format {
 }
 
 impl Format {
-    /// All of them.
-    pub const ALL: [Self; 7] =
-        [Self::Ply, Self::PlyAscii, Self::Pcd, Self::Xyz, Self::E57, Self::Glb, Self::Obj];
-
     /// How files of it are called behind the last dot.
     pub fn extension(self) -> &'static str {
         match self {
@@ -39,6 +38,7 @@ impl Format {
             Self::PlyAscii => "ascii.ply",
             Self::Pcd => "pcd",
             Self::Xyz => "xyz",
+            #[cfg(feature = "e57")]
             Self::E57 => "e57",
             Self::Glb => "glb",
             Self::Obj => "obj",
@@ -63,6 +63,7 @@ impl Format {
             Self::PlyAscii => text::write_ply_ascii(file, shape),
             Self::Pcd => pcd::write(file, shape),
             Self::Xyz => text::write_xyz(file, shape),
+            #[cfg(feature = "e57")]
             Self::E57 => e57::write(file, shape),
             Self::Glb => glb::write(file, shape),
             Self::Obj => text::write_obj(file, shape),

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What of a session's frames is finished already: made of the same frames, with the same parameters.
 
-use super::{Camera, Format, Job, cameras_comment};
+use super::{Camera, Job, cameras_comment};
 use crate::base::ids::TriggerIndex;
+use crate::batch::files::stated;
+use crate::batch::plan::Format;
 use crate::batch::summary::FrameSummary;
 use crate::data::Frame;
-use crate::formats::{phase_file, ply};
+use crate::formats::ply;
 
 impl Job<'_> {
     /// What became of a trigger's frames, where all of them are finished and were made of the frames that the source has; and the
@@ -28,18 +30,7 @@ impl Job<'_> {
         if self.plan.maps.is_some() || self.plan.discard {
             return None;
         }
-        let stated = |format: &Format| {
-            let path = self.frame_path(camera, trigger, *format);
-            match format {
-                Format::Ply => ply::load_whole_header(&path).ok(),
-                Format::Phase => phase_file::load_statement(&path).ok().map(|stored| ply::Header {
-                    points: stored.points,
-                    merged: false,
-                    sigma: false,
-                    comments: stored.comments,
-                }),
-            }
-        };
+        let stated = |format: &Format| stated(&self.plan.out, *format, &camera.id, trigger);
         let headers: Option<Vec<ply::Header>> = self.plan.formats.iter().map(stated).collect();
         // Cloud and map of a frame say the same.
         let same = |headers: &Vec<ply::Header>| {

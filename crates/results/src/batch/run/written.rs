@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is written of a frame: its cloud, its phase map, and what both say of where they come from.
 
-use super::{Camera, Format, Job, cameras_comment};
+use super::{Camera, Format, Job, cameras_comment, frame_path};
 use crate::batch::dump_maps;
 use crate::batch::summary::FrameSummary;
 use crate::data::Cloud;
@@ -9,6 +9,8 @@ use crate::formats::phase_file::{self, Statement};
 use crate::formats::ply;
 use crate::reconstruct::outcome::{Outcome, Reconstruction};
 use std::borrow::Cow;
+use std::io;
+use std::path::Path;
 
 impl Job<'_> {
     pub(super) fn comments(&self, trigger: u64, frames: &str) -> Vec<String> {
@@ -62,13 +64,15 @@ impl Job<'_> {
         comments.extend(reason.iter().map(|reason| format!("refused {reason}")));
         if !self.plan.discard {
             for &format in &self.plan.formats {
-                match format {
-                    Format::Ply => self.write_cloud(camera, trigger, &result.cloud, &comments)?,
+                let path = frame_path(&self.plan.out, format, id, trigger);
+                let saved = match format {
+                    Format::Ply => ply::save(&path, &result.cloud, &comments),
                     Format::Phase => {
                         let comments = [comments.clone(), self.merged_comments(trigger, frames)];
-                        self.write_map(camera, trigger, &result, comments)?;
+                        self.write_map(&path, camera, trigger, &result, comments)
                     }
-                }
+                };
+                saved.map_err(|e| format!("{}: {e}", path.display()))?;
             }
         }
         let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
@@ -80,25 +84,14 @@ impl Job<'_> {
         Ok((summary, cloud))
     }
 
-    fn write_cloud(
-        &self,
-        camera: &Camera,
-        trigger: u64,
-        cloud: &Cloud,
-        comments: &[String],
-    ) -> Result<(), String> {
-        let path = self.frame_path(camera, trigger, Format::Ply);
-        ply::save(&path, cloud, comments).map_err(|e| format!("{}: {e}", path.display()))
-    }
-
     fn write_map(
         &self,
+        path: &Path,
         camera: &Camera,
         trigger: u64,
         result: &Reconstruction,
         [comments, merged_comments]: [Vec<String>; 2],
-    ) -> Result<(), String> {
-        let path = self.frame_path(camera, trigger, Format::Phase);
+    ) -> io::Result<()> {
         let mut map = Cow::Borrowed(&result.phase);
         if map.runs.is_empty() {
             // A frame refused before it was looked at closely.
@@ -115,6 +108,6 @@ impl Job<'_> {
             comments,
             merged_comments,
         };
-        phase_file::save(&path, &statement, &map).map_err(|e| format!("{}: {e}", path.display()))
+        phase_file::save(path, &statement, &map)
     }
 }
