@@ -316,7 +316,7 @@ impl What {
     }
 }
 
-/// Runs the command.
+/// Runs `fourdbody reconstruct` with these arguments.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     keep_freed_memory();
     match Staged::of(args)? {
@@ -417,7 +417,7 @@ fn reconstruct(
     Ok(summary)
 }
 
-/// What `--timings` writes.
+/// The content of the file that `--timings` names.
 #[derive(serde::Serialize)]
 struct Cost {
     #[serde(flatten)]

@@ -11,9 +11,9 @@ use crate::batch::run::time_by_index_ns;
 use crate::cmds::failure::{Failure, tell_amiss, tell_lost, tell_made_up_times, unusable_clouds};
 use crate::cmds::progress::Progress;
 use crate::data::FrameSource;
+use crate::export::collect;
 use crate::export::job::{self, Plan, Summary};
 use crate::export::mesh::{GridLimits, MeshKind};
-use crate::export::{Contents, collect};
 use crate::formats::sequence::Options;
 use crate::formats::{CloudSource, Format, PlyDirectory};
 use crate::record::SessionReader;
@@ -146,16 +146,10 @@ fn write_sequence(
         zstd_level: args.compress.map_or(u32::from(args.quantize.is_some()), u32::from),
         step_m: args.quantize.map(|mm| mm / 1e3),
     };
-    let contents = Contents {
-        merged: plan.merged,
-        directional: plan.directional,
-        triggers: plan.triggers.clone(),
-        cameras: plan.cameras.clone(),
-    };
     let path = args.out.join("sequence.mcap");
     let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
     std::fs::create_dir_all(&args.out).map_err(fail)?;
-    collect(source, &contents, options, &path, time_ns, |done, total| progress.at(done, total)).map_err(fail)
+    collect(source, plan, options, &path, time_ns, |done, total| progress.at(done, total)).map_err(fail)
 }
 
 /// The session that the result is of.

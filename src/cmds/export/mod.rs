@@ -45,7 +45,7 @@ pub struct Args {
     /// The calibration that it was reconstructed with [default: that in DIRECTORY].
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-    /// Where the files go.
+    /// The directory that the files go to.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// What to write, separated by commas.
@@ -93,9 +93,9 @@ pub struct Args {
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Target {
-    /// Binary PLY.
+    /// Binary PLY, the layout that `reconstruct` writes.
     Ply,
-    /// PLY as text.
+    /// PLY as text, with the same columns.
     PlyAscii,
     /// PCD (Point Cloud Library), binary.
     Pcd,
@@ -103,15 +103,15 @@ enum Target {
     Xyz,
     /// E57 (ASTM E2807), a scan a camera.
     E57,
-    /// glTF 2.0, binary.
+    /// glTF 2.0, binary: points or triangles.
     Glb,
-    /// Wavefront OBJ.
+    /// Wavefront OBJ, text: points or triangles.
     Obj,
     /// A sequence of clouds, foxglove.PointCloud in MCAP.
     Mcap,
-    /// Frames of a session.
+    /// Frames of a session, 8-bit grey, compressed.
     Png,
-    /// Frames of a session.
+    /// Frames of a session, 8-bit grey, not compressed.
     Tiff,
     /// Times of a session's frames.
     Csv,
@@ -156,7 +156,7 @@ impl Target {
     }
 }
 
-/// Runs the command.
+/// Runs `fourdbody export` with these arguments.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     super::reconstruct::keep_freed_memory();
     let of_session = args.to.iter().filter(|target| target.is_of_session()).count();

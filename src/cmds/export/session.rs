@@ -13,10 +13,12 @@ use crate::export::inputs;
 use crate::export::ptp::PtpTime;
 use crate::export::timing::{self, Rows};
 use crate::record::SessionReader;
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
 use std::ops::Range;
 use std::path::Path;
 
-/// Frames and times.
+/// Exports frames and times of a session.
 pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
     let usage = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, e);
     if args.mesh.is_some() || !args.clouds.is_empty() || args.quantize.is_some() {
@@ -99,33 +101,37 @@ fn write_timing(
     cameras: &[CameraId],
     ptp: &PtpTime,
 ) -> Result<Rows, Failure> {
-    let path = args.out.join("timing.csv");
-    let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
-    std::fs::create_dir_all(&args.out).map_err(fail)?;
     let mut rows = Rows::default();
-    write_whole(&path, |file| {
-        let mut out = std::io::BufWriter::new(file);
-        rows = timing::write(&mut out, session, triggers, cameras, ptp)?;
-        std::io::Write::flush(&mut out)
-    })
-    .map_err(fail)?;
+    write_table(args, "timing.csv", |out| {
+        rows = timing::write(out, session, triggers, cameras, ptp)?;
+        Ok(())
+    })?;
     Ok(rows)
 }
 
 /// How many edges came on the HSU's inputs; their table, if there are any.
 fn write_inputs(args: &Args, session: &SessionReader) -> Result<usize, Failure> {
     let edges = inputs::edges(session);
-    if edges.is_empty() {
-        return Ok(0);
+    if !edges.is_empty() {
+        write_table(args, "inputs.csv", |out| inputs::write(out, session, &edges))?;
     }
-    let path = args.out.join("inputs.csv");
-    write_whole(&path, |file| {
-        let mut out = std::io::BufWriter::new(file);
-        inputs::write(&mut out, session, &edges)?;
-        std::io::Write::flush(&mut out)
-    })
-    .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", path.display())))?;
     Ok(edges.len())
+}
+
+fn write_table(
+    args: &Args,
+    name: &str,
+    write: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
+) -> Result<(), Failure> {
+    let path = args.out.join(name);
+    let written = std::fs::create_dir_all(&args.out).and_then(|()| {
+        write_whole(&path, |file| {
+            let mut out = BufWriter::new(file);
+            write(&mut out)?;
+            out.flush()
+        })
+    });
+    written.map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", path.display())))
 }
 
 fn report(

@@ -12,7 +12,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// How temporary names end.
+/// How the names of files end that are not complete yet.
 const SUFFIX: &str = ".partial";
 
 /// Temporary files that nobody has written to for so long belong to a process that was killed.

@@ -103,7 +103,7 @@ pub struct ClockFit {
 }
 
 impl ClockFit {
-    /// Without any knowledge.
+    /// A fit that knows of no exchange yet.
     pub fn new() -> Self {
         Self::default()
     }

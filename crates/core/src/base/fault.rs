@@ -10,11 +10,9 @@ use std::process::ExitCode;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Exit {
-    /// Done.
     Done = 0,
-    /// Any other failure.
+    /// Any failure that the other codes do not cover.
     Failure = 1,
-    /// Wrong usage or configuration.
     Usage = 2,
     /// Done, with data loss that is accounted for.
     DataLoss = 3,
@@ -66,7 +64,6 @@ impl From<String> for Fault {
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {reason}", path.display())]
 pub struct FileError {
-    /// The file.
     pub path: PathBuf,
     /// What was expected, what was found, what to do.
     pub reason: String,

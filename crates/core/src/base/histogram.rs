@@ -22,11 +22,11 @@ pub struct Histogram {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Latency {
-    /// Half are not longer.
+    /// The median: half of the durations are not longer.
     pub p50_us: u64,
     /// 99 of 100 are not longer.
     pub p99_us: u64,
-    /// The longest.
+    /// The longest of all durations, exact.
     pub max_us: u64,
 }
 
@@ -38,7 +38,7 @@ impl Default for Histogram {
 }
 
 impl Histogram {
-    /// Counts one duration.
+    /// Counts one duration in its class.
     pub fn record(&self, duration: Duration) {
         let us = u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);
         self.counts[class(us)].fetch_add(1, Ordering::Relaxed);
@@ -46,7 +46,7 @@ impl Histogram {
         self.sum_us.fetch_add(us, Ordering::Relaxed);
     }
 
-    /// How many were counted.
+    /// The number of durations that were counted.
     pub fn count(&self) -> u64 {
         self.loaded().iter().sum()
     }
@@ -56,12 +56,12 @@ impl Histogram {
         self.sum_us.load(Ordering::Relaxed)
     }
 
-    /// The longest, us.
+    /// The longest duration so far, us.
     pub fn max_us(&self) -> u64 {
         self.max_ns.load(Ordering::Relaxed) / 1000
     }
 
-    /// The longest, ms.
+    /// The longest duration so far, ms.
     pub fn max_ms(&self) -> f64 {
         self.max_ns.load(Ordering::Relaxed) as f64 / 1e6
     }

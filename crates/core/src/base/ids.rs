@@ -33,7 +33,7 @@ macro_rules! name_type {
         }
 
         impl $name {
-            /// The name as text.
+            /// The name as it is written in files.
             pub fn as_str(&self) -> &str {
                 &self.0
             }

@@ -76,12 +76,12 @@ impl<T: Copy> Plane<T> {
         }
     }
 
-    /// Columns.
+    /// The number of columns in a row.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
+    /// The number of rows of the plane.
     pub fn height(&self) -> usize {
         self.height
     }
@@ -96,12 +96,12 @@ impl<T: Copy> Plane<T> {
         &mut self.data[..self.width * self.height]
     }
 
-    /// Row `v`.
+    /// The values of row `v`, by column.
     pub fn row(&self, v: usize) -> &[T] {
         &self.data[v * self.width..(v + 1) * self.width]
     }
 
-    /// Row `v`.
+    /// The values of row `v`, by column, to be changed.
     pub fn row_mut(&mut self, v: usize) -> &mut [T] {
         &mut self.data[v * self.width..(v + 1) * self.width]
     }
@@ -131,12 +131,12 @@ impl<'a> Mono8<'a> {
         (data.len() == width * height).then_some(Self { width, height, data })
     }
 
-    /// Columns.
+    /// The number of columns in a row.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
+    /// The number of rows of the image.
     pub fn height(&self) -> usize {
         self.height
     }
@@ -146,7 +146,7 @@ impl<'a> Mono8<'a> {
         self.data
     }
 
-    /// Row `v`.
+    /// The pixels of row `v`, by column.
     pub fn row(&self, v: usize) -> &'a [u8] {
         &self.data[v * self.width..(v + 1) * self.width]
     }

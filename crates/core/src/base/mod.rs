@@ -6,7 +6,7 @@ mod atomic_file;
 /// A straight line from one clock's time to another's, from samples of both.
 pub mod clock_fit;
 mod fault;
-/// Histograms of durations.
+/// Histograms of durations, counted without locks.
 pub mod histogram;
 /// Identifiers that must not be mixed up.
 pub mod ids;
@@ -18,7 +18,7 @@ pub mod json;
 pub mod print;
 /// Files of others: regular, of a bounded size, without waiting.
 pub mod regular;
-/// The host's clocks.
+/// The host's clocks: time of day and monotonic time.
 pub mod time;
 
 pub use atomic_file::{STALE, remove_stale, write_new, write_whole, write_whole_cached};

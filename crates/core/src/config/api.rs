@@ -5,7 +5,7 @@ use super::section::Section;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-/// `[api]`.
+/// How a node can be reached: `[api]` of its file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ApiConfig {
     /// A Unix socket for local users.
@@ -29,13 +29,12 @@ pub struct ApiConfig {
 /// A Unix socket, mode 0660.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SocketConfig {
-    /// Where it is.
     pub path: PathBuf,
     /// The group that may connect; by default that of the process.
     pub group: Option<String>,
 }
 
-/// PEM files.
+/// Certificate and private key of the TCP side, as PEM files.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TlsConfig {
     /// The certificate, followed by the ones that vouch for it.
@@ -44,12 +43,12 @@ pub struct TlsConfig {
     pub key: PathBuf,
 }
 
-/// Another node.
+/// Another node of the rig, as this one reaches it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PeerConfig {
     /// Its name in the rig.
     pub name: String,
-    /// Its API.
+    /// `http://HOST:PORT`, `https://HOST:PORT` or `unix:/PATH` of its API.
     pub url: String,
     /// The secret that this node shows it.
     pub token_file: Option<PathBuf>,

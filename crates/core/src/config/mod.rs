@@ -53,9 +53,8 @@ impl fmt::Display for Problem {
 /// A configuration file that cannot be used, with everything that is wrong in it.
 #[derive(Debug, Clone)]
 pub struct ConfigError {
-    /// The file.
     pub path: PathBuf,
-    /// At least one.
+    /// All that is wrong in it: at least one problem.
     pub problems: Vec<Problem>,
 }
 

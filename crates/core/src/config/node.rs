@@ -22,13 +22,13 @@ use std::time::Duration;
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(untagged)]
 pub enum FeatureValue {
-    /// For booleans.
+    /// The value of a boolean feature.
     Flag(bool),
-    /// For integers.
+    /// The value of an integer feature.
     Integer(i64),
-    /// For floats.
+    /// The value of a float feature.
     Float(f64),
-    /// For enumerations and texts.
+    /// The value of an enumeration or a text.
     Text(String),
 }
 
@@ -73,14 +73,14 @@ pub struct CameraConfig {
     pub settings: Vec<FeatureSetting>,
 }
 
-/// How Aravis receives packets.
+/// Which kind of socket Aravis receives packets by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum SocketMode {
     /// A packet socket where the process may open one (CAP_NET_RAW), an ordinary UDP socket otherwise.
     Auto,
-    /// An ordinary UDP socket.
+    /// An ordinary UDP socket, in any case.
     Standard,
 }
 
@@ -133,18 +133,16 @@ pub struct QuickLookConfig {
     pub frame_sets: usize,
 }
 
-/// The node.
+/// The configuration of a node: what its file states, and the rig that the file names.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeConfig {
     /// Its name in the rig.
     pub node: NodeId,
-    /// The rig.
     pub rig: Rig,
     /// The rig file's text, kept word for word in every recording.
     pub rig_text: String,
     /// How the control API is reached.
     pub api: ApiConfig,
-    /// Where triggers come from.
     pub trigger: TriggerSource,
     /// Sessions are directories below this one.
     pub sessions_dir: PathBuf,
@@ -152,11 +150,9 @@ pub struct NodeConfig {
     pub reserve_bytes: u64,
     /// A segment is closed at the first trigger after this many bytes.
     pub segment_bytes: u64,
-    /// Frame buffers per camera.
     pub buffers_per_camera: usize,
     /// GVSP packet size (IP packet), bytes.
     pub packet_bytes: u32,
-    /// How packets are received.
     pub socket: SocketMode,
     /// Before arming no camera may send for this long; zero lets free-running cameras pass.
     pub silence_gate: Duration,
@@ -202,7 +198,7 @@ impl NodeConfig {
 const FORMAT: u64 = 1;
 const MIB: u64 = 1 << 20;
 
-/// `[acquisition]`.
+/// The values of `[acquisition]`, which all cameras share.
 struct Acquisition {
     buffers_per_camera: usize,
     packet_bytes: u32,

@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Pixel {
-    /// 8 bits.
     #[default]
     Mono8,
     /// 10 bits, four pixels in five bytes.
@@ -28,7 +27,6 @@ pub enum Pixel {
     Mono12,
     /// 14 bits in two bytes.
     Mono14,
-    /// 16 bits.
     Mono16,
     /// 8 bits behind a mosaic of filters: of two columns and rows the pixels of one colour are taken, at half the size. Which
     /// pixels these are follows from what the camera calls it.
@@ -38,19 +36,18 @@ pub enum Pixel {
 /// The colours of a mosaic's first row and second row, from the left.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Mosaic {
-    /// Green, red; blue, green.
+    /// Green and red, below them blue and green.
     GR,
-    /// Red, green; green, blue.
+    /// Red and green, below them green and blue.
     #[default]
     RG,
-    /// Green, blue; red, green.
+    /// Green and blue, below them red and green.
     GB,
-    /// Blue, green; green, red.
+    /// Blue and green, below them green and red.
     BG,
 }
 
 impl Mosaic {
-    /// All of them.
     pub const ALL: [Self; 4] = [Self::GR, Self::RG, Self::GB, Self::BG];
 
     /// Column and row of a colour among two by two pixels. Of the two greens it is that of the first row.

@@ -14,11 +14,11 @@ use std::path::Path;
 /// The colour channel that a head projects and that its cameras' filters pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Channel {
-    /// Red (LED).
+    /// Red, the light of an LED.
     R,
-    /// Green (laser).
+    /// Green, the light of a laser.
     G,
-    /// Blue (laser).
+    /// Blue, the light of a laser.
     B,
 }
 
@@ -28,28 +28,24 @@ pub type NominalDevice = Device;
 /// One camera of a head.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RigCamera {
-    /// Unique in the rig.
     pub id: CameraId,
     /// The acquisition PC that it is wired to.
     pub node: NodeId,
-    /// Nominal geometry.
+    /// Lens and pose by the drawing, before any calibration.
     pub device: NominalDevice,
 }
 
-/// One directional measurement head.
+/// One directional measurement head: a projector and its cameras.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Head {
-    /// Unique in the rig.
     pub id: HeadId,
-    /// Its colour channel.
     pub channel: Channel,
     /// Exposure starts this long after the projector's frame sync, ns.
     pub delay_ns: u64,
-    /// Exposure window, ns.
+    /// Length of the exposure window, ns.
     pub exposure_ns: u64,
     /// Nominal geometry of the projector.
     pub projector: NominalDevice,
-    /// Its cameras.
     pub cameras: Vec<RigCamera>,
 }
 
@@ -68,15 +64,15 @@ fn exposure_limit_us(delay_us: f64, trigger_rate_hz: f64) -> f64 {
 /// The calibration board: black circles in rows and columns on white; a few larger ones give the orientation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Board {
-    /// Along board x, m.
+    /// Size of the board along its x axis, m.
     pub width_m: f64,
-    /// Along board y, m.
+    /// Size of the board along its y axis, m.
     pub height_m: f64,
     /// Distance between neighbouring centres, m.
     pub pitch_m: f64,
-    /// Circles along x.
+    /// The number of circles along x.
     pub columns: usize,
-    /// Circles along y.
+    /// The number of circles along y.
     pub rows: usize,
     /// Radius of an ordinary circle, m.
     pub radius_m: f64,
@@ -86,12 +82,11 @@ pub struct Board {
     pub large: Vec<[usize; 2]>,
 }
 
-/// The rig.
+/// The rig as its file describes it: heads, volume, pattern and board.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Rig {
     /// Names the rig in recordings and calibrations.
     pub name: String,
-    /// Triggers per second.
     pub trigger_rate_hz: f64,
     /// Triggers before trigger 0 of every session, for cameras that need some to wake up; their frames are not recorded.
     pub warm_up_triggers: u32,
@@ -99,9 +94,7 @@ pub struct Rig {
     pub volume_min_m: [f64; 3],
     /// Upper corner of the working volume, world, m.
     pub volume_max_m: [f64; 3],
-    /// What the projectors show.
     pub pattern: Pattern,
-    /// The calibration board.
     pub board: Board,
     /// In order around the volume: neighbours in this list (cyclic) are neighbours in space.
     pub heads: Vec<Head>,

@@ -20,7 +20,7 @@ pub struct Section<'a> {
 }
 
 impl<'a> Section<'a> {
-    /// The file's outermost table.
+    /// The outermost table of a file, as a section.
     pub fn root(table: &'a Table, problems: &'a RefCell<Vec<Problem>>) -> Self {
         Self { table, path: String::new(), seen: RefCell::default(), problems }
     }
@@ -137,7 +137,7 @@ impl<'a> Section<'a> {
         text
     }
 
-    /// An optional truth value.
+    /// An optional truth value, `true` or `false`.
     pub fn flag_or(&self, key: &'static str, default: bool) -> bool {
         self.read(key, "true or false", Some(default), default, Value::as_bool)
     }
@@ -188,7 +188,7 @@ impl<'a> Section<'a> {
         self.get(key)
     }
 
-    /// A required sub-table.
+    /// A sub-table that must be there.
     pub fn section(&self, key: &'static str) -> Option<Section<'a>> {
         if !self.has(key) {
             self.problem(key, "is missing, expected a table");
@@ -196,7 +196,7 @@ impl<'a> Section<'a> {
         self.optional_section(key)
     }
 
-    /// An optional sub-table.
+    /// A sub-table that may be missing.
     pub fn optional_section(&self, key: &'static str) -> Option<Section<'a>> {
         self.get(key).and_then(|value| self.section_of(key, value))
     }

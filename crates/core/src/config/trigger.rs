@@ -12,10 +12,10 @@ use std::path::PathBuf;
 /// What action commands are called where a serial device would be named.
 pub const ACTION_COMMANDS: &str = "action commands";
 
-/// What triggers the cameras.
+/// What triggers the cameras of a node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum TriggerSource {
-    /// The HSU, by wires.
+    /// The HSU, by wires to projectors and cameras.
     Hsu {
         /// Serial device of the link to it.
         device: PathBuf,
@@ -29,9 +29,7 @@ pub enum TriggerSource {
 /// Action commands of GigE Vision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ActionConfig {
-    /// `ActionDeviceKey` of the cameras.
     pub device_key: u32,
-    /// `ActionGroupKey` of the cameras.
     pub group_key: u32,
     /// `ActionGroupMask` of the cameras; not 0.
     pub group_mask: u32,

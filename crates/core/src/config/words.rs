@@ -14,9 +14,7 @@ pub const AUTO: &str = "auto";
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Edge {
-    /// From low to high.
     Rising,
-    /// From high to low.
     Falling,
 }
 
@@ -25,7 +23,6 @@ pub enum Edge {
 pub enum PacketDelay {
     /// So long that cameras which share a network can send at once.
     Auto,
-    /// Microseconds.
     Microseconds(f64),
 }
 
@@ -36,11 +33,9 @@ pub struct CameraWords {
     pub trigger_line: Option<String>,
     /// The edge that starts a frame.
     pub trigger_edge: Option<Edge>,
-    /// Exposure, microseconds.
     pub exposure_us: Option<f64>,
     /// By how much the camera's nearest exposure may differ, microseconds.
     pub exposure_tolerance_us: Option<f64>,
-    /// Gain, decibels.
     pub gain_db: Option<f64>,
     /// The form of a pixel that the camera is to send.
     pub pixel: Option<Pixel>,

@@ -16,18 +16,17 @@ pub struct WorkerNode {
     pub sessions_dir: PathBuf,
     /// Its control API, for giving way to its captures; `http://HOST:PORT`, `https://HOST:PORT` or `unix:/PATH`.
     pub url: Option<String>,
-    /// The token for it.
+    /// The file with the token for its API.
     pub token_file: Option<PathBuf>,
     /// The certificate that signed its own.
     pub ca: Option<PathBuf>,
 }
 
-/// Which session comes next.
+/// Which of the waiting sessions is reconstructed next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
     /// The last one recorded: what somebody waits for.
     Newest,
-    /// As they were recorded.
     Oldest,
 }
 
@@ -50,7 +49,7 @@ impl Output {
     }
 }
 
-/// The worker.
+/// The configuration of the worker, as its file states it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WorkerConfig {
     /// A session is worked on when all of these have recorded it.
@@ -61,9 +60,7 @@ pub struct WorkerConfig {
     pub calibration: PathBuf,
     /// Where recordings are copied to by whoever keeps them; `prune` compares with it.
     pub archive: Option<PathBuf>,
-    /// Which session comes next.
     pub order: Order,
-    /// What is written.
     pub output: Output,
     /// At most so many threads; none: one per core.
     pub threads: Option<usize>,
@@ -80,7 +77,7 @@ const MIB: u64 = 1 << 20;
 
 /// Memory of a reconstruction beside its threads' (measured: docs/benchmarks.md).
 const BASE_BYTES: u64 = 400 * MIB;
-/// Memory of each thread.
+/// Memory of each thread of a reconstruction, bytes (measured: docs/benchmarks.md).
 const THREAD_BYTES: u64 = 500 * MIB;
 
 impl WorkerConfig {

@@ -46,9 +46,7 @@ fn pixels_crc(image: Mono8<'_>) -> u32 {
 pub struct StatedCamera {
     /// Its name in the rig.
     pub id: CameraId,
-    /// Columns of its frames.
     pub width: usize,
-    /// Rows of its frames.
     pub height: usize,
     /// Vendor, model and serial number; empty where unknown.
     pub device: String,
@@ -57,7 +55,6 @@ pub struct StatedCamera {
 /// What a source states about itself, for a calibration to be compared with.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceStatement {
-    /// Its cameras.
     pub cameras: Vec<StatedCamera>,
     /// What was projected; `None` where it is not known.
     pub pattern: Option<Pattern>,

@@ -15,11 +15,10 @@ pub const STEPS_PER_LEVEL: f32 = 4.0;
 /// A stretch of known pixels of one row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Run {
-    /// Row in the frame.
     pub row: u16,
     /// First column in the frame.
     pub first: u16,
-    /// Number of pixels.
+    /// The number of pixels, at least 1.
     pub length: u16,
 }
 

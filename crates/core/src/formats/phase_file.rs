@@ -35,16 +35,14 @@ const TAIL_BYTES: usize = 4;
 /// No camera has pixels for more, bytes.
 const BYTES_MAX: u64 = 1 << 30;
 
-/// Numbers in a block.
+/// Numbers that are packed as one block, all of the same width.
 const BLOCK: usize = 64;
 
 /// What a file states beside the phase map.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Statement {
-    /// The camera.
     pub camera: String,
-    /// Index of the trigger.
     pub trigger: u64,
     /// When it was, ns, where that is known.
     pub time_ns: Option<u64>,
@@ -133,7 +131,7 @@ pub fn save(path: &Path, statement: &Statement, map: &PhaseMap) -> io::Result<()
     crate::base::write_whole_cached(path, |file| file.write_all(&bytes))
 }
 
-/// Reads a file.
+/// Reads a file: what it states, and its map.
 pub fn load(path: &Path) -> Result<(Statement, PhaseMap), FileError> {
     load_as(path, decode)
 }
@@ -161,7 +159,7 @@ fn load_as<T>(path: &Path, decode: impl FnOnce(&[u8]) -> Result<T, String>) -> R
     })
 }
 
-/// Checks lengths and checksum.
+/// Checks lengths and checksum; the header, and the bytes of the body.
 fn open(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     let number = |at: usize| {
         let found = bytes.get(at..at + 4).and_then(|x| x.as_array::<4>());

@@ -52,22 +52,20 @@ impl Layout {
         PROPERTIES.iter().chain(self.merged.then_some(&CAMERA)).chain(self.sigma.then_some(&SIGMA))
     }
 
-    /// Bytes of a point.
+    /// Bytes of one point with these properties.
     fn stride(self) -> usize {
         POINT_BYTES + usize::from(self.merged) + 4 * usize::from(self.sigma)
     }
 }
 
-/// What a header says.
+/// What the header of a file states.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Header {
-    /// Number of points.
     pub points: usize,
     /// Whether the points carry their camera.
     pub merged: bool,
     /// Whether the points carry their standard uncertainty.
     pub sigma: bool,
-    /// The comments, in order.
     pub comments: Vec<String>,
 }
 
@@ -87,7 +85,6 @@ impl Header {
 pub struct Part<'a> {
     /// Its camera's number in merged clouds.
     pub camera: u8,
-    /// The cloud.
     pub cloud: &'a Cloud,
     /// Whether each of its points is left out; empty where none is.
     pub left_out: &'a [bool],
@@ -221,7 +218,7 @@ pub fn load_whole_header(path: &Path) -> Result<Header, FileError> {
     Ok(header)
 }
 
-/// Reads a file.
+/// Reads a file: its header, and its cloud.
 pub fn load(path: &Path) -> Result<(Header, Cloud), FileError> {
     let (input, bytes) = open(path)?;
     read_at_most(input, bytes).map_err(|reason| unfit(path, &reason))
@@ -313,55 +310,57 @@ fn push(cloud: &mut Cloud, point: &[u8], layout: Layout) {
     }
 }
 
-fn read_header(input: &mut impl BufRead) -> Result<Header, String> {
+/// The lines of a PLY file's header before `end_header`; the input stands behind it then. Any PLY file has such lines.
+pub fn header_lines(input: &mut impl BufRead) -> Result<Vec<String>, String> {
     let mut limited = input.take(MAX_HEADER_BYTES);
-    let mut line = || -> Result<String, String> {
-        let mut bytes = Vec::new();
-        limited.read_until(b'\n', &mut bytes).map_err(|e| e.to_string())?;
-        if bytes.pop() != Some(b'\n') {
+    let mut lines = Vec::new();
+    loop {
+        let mut line = Vec::new();
+        limited.read_until(b'\n', &mut line).map_err(|e| e.to_string())?;
+        if line.pop() != Some(b'\n') {
             return Err(format!("the header does not end within {MAX_HEADER_BYTES} bytes"));
         }
-        String::from_utf8(bytes).map_err(|_| "the header is not text".to_owned())
-    };
+        let line = String::from_utf8(line).map_err(|_| "the header is not text".to_owned())?;
+        if line.trim_end() == "end_header" {
+            return Ok(lines);
+        }
+        lines.push(line);
+    }
+}
+
+fn read_header(input: &mut impl BufRead) -> Result<Header, String> {
+    let lines = header_lines(input)?;
+    let mut lines = lines.iter().map(String::as_str);
     for expected in ["ply", "format binary_little_endian 1.0"] {
-        let found = line()?;
+        let found = lines.next().unwrap_or_default();
         if found != expected {
             return Err(format!("expected the line {expected:?}, found {found:?}"));
         }
     }
     let mut comments = Vec::new();
     let points = loop {
-        let text = line()?;
+        let text = lines.next().unwrap_or_default();
         if let Some(comment) = text.strip_prefix("comment ") {
             comments.push(comment.to_owned());
         } else if let Some(count) = text.strip_prefix("element vertex ") {
-            let count = count.parse::<usize>().map_err(|e| format!("{text:?}: {e}"))?;
-            if count > POINTS_MAX {
-                return Err(format!("expected at most {POINTS_MAX} points, found {count}"));
-            }
-            break count;
+            break count.parse::<usize>().map_err(|e| format!("{text:?}: {e}"))?;
         } else {
             return Err(format!("expected the element vertex, found {text:?}"));
         }
     };
-    for (kind, name) in PROPERTIES {
-        let (expected, found) = (format!("property {kind} {name}"), line()?);
-        if found != expected {
-            return Err(format!("expected the line {expected:?}, found {found:?}"));
-        }
+    if points > POINTS_MAX {
+        return Err(format!("expected at most {POINTS_MAX} points, found {points}"));
     }
-    let mut last = line()?;
-    let mut has = |(kind, name): (&str, &str)| -> Result<bool, String> {
-        let found = last == format!("property {kind} {name}");
-        if found {
-            last = line()?;
-        }
-        Ok(found)
+    let found: Vec<&str> = lines.collect();
+    let is_found = |layout: &Layout| {
+        let expected = layout.properties().map(|(kind, name)| format!("property {kind} {name}"));
+        expected.eq(found.iter().copied())
     };
-    let (merged, sigma) = (has(CAMERA)?, has(SIGMA)?);
-    if last != "end_header" {
-        return Err(format!("expected the end of the header, found {last:?}"));
-    }
+    let layouts = [(false, false), (false, true), (true, false), (true, true)];
+    let layout = layouts.map(|(merged, sigma)| Layout { merged, sigma }).into_iter().find(is_found);
+    let Layout { merged, sigma } = layout.ok_or_else(|| {
+        format!("expected x y z intensity nx ny nz u v, camera and sigma at most, found {}", found.join(", "))
+    })?;
     Ok(Header { points, merged, sigma, comments })
 }
 

@@ -27,7 +27,6 @@ pub struct Device {
     pub width: usize,
     /// Rows of the sensor or panel.
     pub height: usize,
-    /// Intrinsics and distortion.
     pub lens: Lens,
     /// Takes device coordinates to world coordinates.
     pub world_from_device: Pose,

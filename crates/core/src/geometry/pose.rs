@@ -22,7 +22,7 @@ struct PoseFile {
 }
 
 impl Pose {
-    /// Wraps an isometry.
+    /// The pose of an isometry, whose rotation matrix goes to files.
     pub fn new(isometry: Isometry3<f64>) -> Self {
         let matrix = isometry.rotation.to_rotation_matrix();
         let row = |r: usize| [matrix[(r, 0)], matrix[(r, 1)], matrix[(r, 2)]];
@@ -45,7 +45,7 @@ impl Pose {
         Ok(Self { isometry, rows: rotation })
     }
 
-    /// The transform itself.
+    /// The transform, to be applied to points.
     pub fn isometry(&self) -> &Isometry3<f64> {
         &self.isometry
     }

@@ -28,7 +28,7 @@ use std::time::SystemTime;
 /// What a map states of the calibration that clouds are made with: its hash, and its volume, m.
 pub type Geometry = (String, [[f64; 3]; 2]);
 
-/// That of a calibration.
+/// What maps that were made with a calibration state of it.
 pub fn statement_of(calibration: &Calibration) -> Geometry {
     (calibration.geometry_sha256(), [calibration.volume_min_m, calibration.volume_max_m])
 }
@@ -36,11 +36,9 @@ pub fn statement_of(calibration: &Calibration) -> Geometry {
 /// What became of an export.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct Exported {
-    /// Directional clouds written.
     pub clouds: usize,
     /// Points of all merged clouds.
     pub merged_points: usize,
-    /// Triggers.
     pub triggers: usize,
     /// Triggers whose clouds were there already.
     pub kept: usize,
@@ -56,7 +54,7 @@ pub struct Exported {
 struct Made {
     trigger: u64,
     time_ns: Option<u64>,
-    /// Of its merged cloud.
+    /// The number of points of its merged cloud.
     points: usize,
     kept: bool,
 }

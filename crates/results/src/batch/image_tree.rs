@@ -19,7 +19,7 @@ const NAMED: usize = 8;
 /// The images of one camera by trigger index.
 pub type Images = BTreeMap<u64, PathBuf>;
 
-/// A directory of images.
+/// The images of a directory, by camera and trigger index.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
 pub struct ImageTree {
     /// The cameras that have a folder. Those that the caller knows may have no images.
@@ -94,7 +94,6 @@ enum Named {
     Index(u64),
     /// A PNG of no trigger.
     Unindexed,
-    /// No image.
     Other,
 }
 

@@ -24,13 +24,13 @@ pub const ALGORITHM: u32 = 33;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Key {
-    /// Whose frames.
+    /// The session whose frames the result is made of.
     pub session: SessionIdentity,
-    /// [`ALGORITHM`], or [`paper::ALGORITHM`].
+    /// [`ALGORITHM`], or [`paper::ALGORITHM`] with `--method paper`.
     pub algorithm: u32,
     /// SHA-256 of the calibration, all of it.
     pub calibration_sha256: String,
-    /// `joint` or `paper`.
+    /// `joint` or `paper`, as the command line calls it.
     pub method: String,
     /// By how much a fringe order must lead any other.
     pub margin: f32,
@@ -65,7 +65,7 @@ pub fn calibration_sha256(calibration: &Calibration) -> Result<String, String> {
 }
 
 impl Key {
-    /// That of a plan.
+    /// The key of what a plan makes of a session.
     pub fn of(session: SessionIdentity, calibration: &Calibration, plan: &Plan) -> Result<Self, String> {
         let cameras = calibration.cameras().map(|(_, camera)| &camera.id);
         Ok(Self {

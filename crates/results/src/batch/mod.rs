@@ -9,19 +9,19 @@ pub mod belonging;
 pub mod binned;
 /// The shards of a session to one result.
 pub mod collect_shards;
-/// Maps as pictures.
+/// The maps of a frame as pictures, for people.
 pub mod dump_maps;
 /// Where the files of a result are, and what they state.
 pub mod files;
 /// Stored phase maps to clouds.
 pub mod from_phase_maps;
-/// Directories of images.
+/// Directories of images, `DIR/CAMERA/INDEX.png`, and what in them is a frame.
 pub mod image_tree;
 /// What a result is made of.
 pub mod key;
 /// What a run is to do.
 pub mod plan;
-/// Frames from PNG files.
+/// Frames that are read from PNG files.
 pub mod png_source;
 /// What a reconstruction wrote, as clouds.
 pub mod result;

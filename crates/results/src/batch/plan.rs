@@ -38,12 +38,12 @@ impl Format {
     }
 }
 
-/// What to do.
+/// What a run is to do. The command line makes it of its options and of what session and calibration have; it does not
+/// change while the run lasts.
 #[derive(Debug)]
 pub struct Plan {
-    /// Where the results go.
+    /// The directory that the results go to.
     pub out: PathBuf,
-    /// Which triggers.
     pub triggers: Range<u64>,
     /// Which cameras; all are in the calibration.
     pub cameras: Vec<CameraId>,

@@ -12,10 +12,10 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Where a cloud is.
+/// Where a cloud of a result is.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Place {
-    /// In this file.
+    /// In this file, as a PLY file.
     File(PathBuf),
     /// The phase map of a trigger and a camera, by its place among the cameras of the maps.
     Map(u64, usize),
@@ -28,7 +28,6 @@ pub enum Place {
 pub struct Clouds {
     /// Directional clouds by trigger and camera.
     pub directional: BTreeMap<(u64, String), Place>,
-    /// Merged clouds by trigger.
     pub merged: BTreeMap<u64, Place>,
     /// What they are held against.
     pub expected: Expected,

@@ -50,7 +50,7 @@ struct Job<'a> {
     plan: &'a Plan,
     calibration: &'a Calibration,
     parameters: String,
-    /// Its id.
+    /// The id of the session that the frames are of.
     session: String,
     /// What stored phase maps state of the calibration.
     calibration_statement: (String, [[f64; 3]; 2]),

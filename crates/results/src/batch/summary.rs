@@ -28,7 +28,6 @@ pub fn load_summary(out: &Path) -> Result<Summary, String> {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameSummary {
-    /// The camera.
     pub camera: CameraId,
     /// `cloud`, `refused` (no fringe order can be trusted), `gap` (no frame) or `damaged`.
     pub outcome: Cow<'static, str>,
@@ -57,7 +56,6 @@ impl FrameSummary {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TriggerSummary {
-    /// Its index.
     pub trigger: u64,
     /// When it was, ns since 1970 on the clock of [`Summary::time_base`]; absent where the source knows no times.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -73,13 +71,13 @@ pub struct TriggerSummary {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Summary {
-    /// Whose frames.
+    /// The session whose frames were reconstructed.
     pub session: SessionIdentity,
-    /// The algorithm's number ([`super::key::ALGORITHM`]).
+    /// The number of the algorithm that made the clouds ([`super::key::ALGORITHM`]).
     pub algorithm: u32,
     /// Hash of everything that the clouds depend on beside the frames.
     pub parameters: String,
-    /// `joint` or `paper`.
+    /// `joint` or `paper`, as the command line calls it.
     pub method: Cow<'static, str>,
     /// Cameras of the session or of the calibration that were left out, as was asked for; absent where there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -96,20 +94,15 @@ pub struct Summary {
     /// What clock the triggers' times are of, in words; absent where there are no times.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_base: Option<String>,
-    /// Frames expected.
     pub frames: usize,
-    /// Frames with a cloud.
     pub clouds: usize,
-    /// Frames refused.
     pub refused: usize,
-    /// Frames that are missing.
     pub gaps: usize,
     /// Frames that could not be read.
     pub damaged: usize,
     /// Points of all merged clouds; absent where none are made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub merged_points: Option<usize>,
-    /// The triggers, in order.
     pub triggers: Vec<TriggerSummary>,
 }
 

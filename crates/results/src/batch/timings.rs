@@ -8,9 +8,7 @@ use std::time::Duration;
 /// Time spent, over the frames that were computed and not found finished.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Timings {
-    /// Frames computed.
     pub frames: usize,
-    /// Threads that did it.
     pub threads: usize,
     /// Sum of each stage, ms.
     pub stage_ms: BTreeMap<&'static str, f64>,

@@ -74,9 +74,9 @@ pub type Sketches = Vec<Option<Sketch>>;
 /// Places that speak for a frame's own trigger, and against it for another one.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Votes {
-    /// For its own.
+    /// Places that speak for the trigger that the frame is filed under.
     pub own: u32,
-    /// For the other.
+    /// Places that speak for the other trigger.
     pub other: u32,
 }
 

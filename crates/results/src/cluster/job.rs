@@ -21,7 +21,6 @@ pub struct Job {
     version: u32,
     /// What is made of which session.
     pub work: Work,
-    /// Number of shards.
     pub shards: u64,
     /// The shards that are in the job array: those that were not finished when it was submitted.
     pub array: Vec<u64>,
@@ -29,7 +28,7 @@ pub struct Job {
     pub at_once: Option<u64>,
     /// Processors, memory and time of a task.
     pub sizing: Sizing,
-    /// Further options of `sbatch`.
+    /// Further options of `sbatch`, as the user gave them.
     pub sbatch: Vec<String>,
     /// Slurm's number of the job array; `None`: all shards were finished.
     pub array_job: Option<u64>,

@@ -33,7 +33,7 @@ pub struct Measured {
     pub cpu_s_per_frame_set: f64,
     /// The most memory at once, bytes.
     pub peak_memory_bytes: u64,
-    /// Threads of that process.
+    /// Threads of the process that was measured.
     pub threads: u64,
 }
 
@@ -68,17 +68,16 @@ impl Measured {
 /// What the user asks for.
 #[derive(Debug, Clone, Copy)]
 pub struct Wish {
-    /// This many tasks.
+    /// The number of tasks, where the user gave one.
     pub tasks: Option<u64>,
     /// Tasks of about so many hours, where their number is not given.
     pub hours: f64,
-    /// Processors of a task.
     pub cpus: u64,
     /// Tasks that the cluster takes in one array.
     pub most_tasks: u64,
 }
 
-/// Size of the tasks.
+/// The size of the tasks that a session is divided into.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sizing {
@@ -86,9 +85,7 @@ pub struct Sizing {
     pub tasks: u64,
     /// Frame sets of the largest.
     pub frame_sets_per_task: u64,
-    /// Processors of each.
     pub cpus: u64,
-    /// Memory of each, MiB.
     pub memory_mib: u64,
     /// The time that each is expected to take, minutes.
     pub expected_min: f64,

@@ -10,13 +10,12 @@ use std::process::Command;
 
 /// Columns of `squeue`, each with its delimiter.
 const SQUEUE_COLUMNS: &str = "ArrayJobID:|,ArrayTaskID:|,State:|,Reason:|,TimeUsed:|,RestartCnt:|,NodeList:|";
-/// Columns of `sacct`.
+/// Columns of `sacct`, with `|` between them.
 const SACCT_COLUMNS: &str = "JobID,State,ExitCode,Elapsed,NodeList";
 
 /// What Slurm says of a task of an array, or of a job by itself.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Task {
-    /// The job.
     #[serde(skip)]
     pub job: u64,
     /// Its number in the array.
@@ -79,7 +78,7 @@ impl Slurm {
         }
     }
 
-    /// Takes a job back.
+    /// Cancels a job, whether it waits or runs.
     pub fn cancel(self, job: u64) -> Result<(), String> {
         let output =
             Command::new("scancel").arg(job.to_string()).output().map_err(|e| format!("scancel: {e}"))?;
@@ -123,7 +122,7 @@ impl Slurm {
     }
 }
 
-/// What a program prints.
+/// The output of a client program.
 fn ask(program: &str, arguments: &[&str], more: &[String]) -> Result<String, String> {
     let output = Command::new(program).args(arguments).args(more).output();
     let output = output.map_err(|e| format!("{program}: {e}"))?;

@@ -21,9 +21,9 @@ use std::path::PathBuf;
 pub enum State {
     /// For processors, for the job before it, or to be started anew.
     Waiting,
-    /// On a node.
+    /// Slurm runs it on a node.
     Running,
-    /// Its summary is there.
+    /// Its summary is there, whatever Slurm reports.
     Done,
     /// It has ended, and its summary is not there.
     Failed,
@@ -31,14 +31,11 @@ pub enum State {
     Unknown,
 }
 
-/// One shard.
+/// The state of one shard, with its frame sets.
 #[derive(Debug, Clone, Serialize)]
 pub struct ShardStatus {
-    /// Its number.
     pub shard: u64,
-    /// Its state.
     pub state: State,
-    /// Its frame sets.
     pub frame_sets: u64,
     /// Of these, those whose files are there.
     pub frame_sets_done: u64,
@@ -47,10 +44,9 @@ pub struct ShardStatus {
     pub task: Option<Task>,
 }
 
-/// All of it.
+/// The state of a submitted reconstruction, as `cluster status` prints it.
 #[derive(Debug, Clone, Serialize)]
 pub struct Status {
-    /// Where the results are.
     pub out: String,
     /// State of the whole; done when the collected result is there.
     pub state: State,
@@ -62,7 +58,6 @@ pub struct Status {
     pub frame_sets: u64,
     /// Of these, those whose files are there.
     pub frame_sets_done: u64,
-    /// The shards.
     pub shards: Vec<ShardStatus>,
     /// State of the collecting job.
     pub collecting: State,

@@ -6,7 +6,7 @@ use super::job::claim;
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::{Mono8, encode_png_grey};
 use crate::base::{Fault, write_whole};
-use crate::data::{Frame, FrameSource};
+use crate::data::FrameSource;
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Map, json};
@@ -16,12 +16,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// A format of pictures.
+/// A format of pictures that frames are exported to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Picture {
-    /// PNG.
     Png,
-    /// TIFF, not compressed.
     #[cfg(feature = "tiff")]
     Tiff,
 }
@@ -60,35 +58,31 @@ impl Picture {
     }
 }
 
-/// What to write.
+/// Which frames of a session are written, where, and as what.
 #[derive(Debug, Clone)]
 pub struct FramePlan {
-    /// Where the pictures go.
+    /// The directory that the pictures go to.
     pub out: PathBuf,
     /// Which session this is, in words that tell it from others.
     pub origin: String,
-    /// The formats.
     pub formats: Vec<Picture>,
-    /// Which triggers.
     pub triggers: Range<u64>,
-    /// Which cameras.
     pub cameras: Vec<CameraId>,
 }
 
-/// What became of it.
+/// The numbers of frames that were written, kept, missing and damaged.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct FrameSummary {
-    /// Frames expected.
+    /// Frames of the plan: its triggers times its cameras.
     pub frames: usize,
-    /// Pictures written.
     pub written: usize,
-    /// Pictures found finished.
+    /// Pictures that were finished before this run.
     pub skipped: usize,
     /// Frames that are missing, as the session says.
     pub gaps: usize,
     /// Frames that could not be read, with the reason: at most [`MAX_PROBLEMS`] of them.
     pub problems: Vec<String>,
-    /// Those beyond.
+    /// The number of further such frames.
     pub more_problems: usize,
 }
 
@@ -159,13 +153,9 @@ fn export(
             return Ok(());
         }
     };
-    let image = match &frame {
-        Frame::Image(image) => *image,
-        Frame::Owned(plane) => Mono8::from(plane),
-        Frame::Gap(_) => {
-            count(&|summary| summary.gaps += 1);
-            return Ok(());
-        }
+    let Some(image) = frame.image() else {
+        count(&|summary| summary.gaps += 1);
+        return Ok(());
     };
     for format in missing {
         let path = path(format);

@@ -16,7 +16,7 @@ use crate::record::{InputEdge, SessionReader};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-/// The first line.
+/// The first line of the table: the names of its columns.
 pub const HEADER: &str = "number,input,edge,hsu_time_ns,trigger,after_trigger_ns,skipped";
 
 /// The edges of a session, by number: all nodes heard the same HSU, and what one of them missed another may have.
@@ -25,7 +25,7 @@ pub fn edges(session: &SessionReader) -> BTreeMap<u64, InputEdge> {
     events.filter_map(InputEdge::of).map(|edge| (edge.number, edge)).collect()
 }
 
-/// Writes the table.
+/// Writes the table of these edges.
 pub fn write(
     mut out: impl Write,
     session: &SessionReader,

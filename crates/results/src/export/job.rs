@@ -28,35 +28,31 @@ use std::sync::{Mutex, PoisonError};
 const COMMON: [&str; 7] =
     ["fourdbody ", "parameters ", "calibration ", "session ", "trigger ", "time_ns ", "frames "];
 
-/// What to write.
+/// Which clouds are written, where, and as what.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// Where the files go.
+    /// The directory that the files go to.
     pub out: PathBuf,
     /// Where the clouds come from, in words that tell one origin from another.
     pub origin: String,
-    /// The formats.
     pub formats: Vec<Format>,
     /// Whether a file a trigger is written.
     pub merged: bool,
     /// Whether a file a camera and trigger is written.
     pub directional: bool,
-    /// Meshes instead of points.
+    /// Which meshes are written instead of points.
     pub mesh: Option<MeshKind>,
-    /// Which triggers.
     pub triggers: Range<u64>,
     /// Which cameras: places in the source's list.
     pub cameras: Vec<usize>,
 }
 
-/// What became of it.
+/// The numbers of files that were written, kept, empty and damaged.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Summary {
-    /// Triggers looked at.
     pub triggers: usize,
-    /// Files written.
     pub written: usize,
-    /// Files found finished.
+    /// Files that were finished before this run.
     pub skipped: usize,
     /// Clouds without a point, of which nothing is written.
     pub empty: usize,
@@ -70,7 +66,7 @@ pub struct Summary {
     pub problems: Vec<String>,
 }
 
-/// One file to write.
+/// One file that is not finished yet.
 struct Output {
     path: PathBuf,
     format: Format,

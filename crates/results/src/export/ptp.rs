@@ -27,14 +27,13 @@ pub struct PtpInstant {
     pub time_ns: u64,
     /// What reading the clocks leaves open, to either side, ns. PTP's own error is not in it.
     pub open_ns: u64,
-    /// Who says so.
+    /// The witness whose clock gave this time.
     pub camera: CameraId,
 }
 
 /// A camera whose stamps are times of the PTP clock.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Witness {
-    /// The camera.
     pub camera: CameraId,
     /// From a trigger to its stamp, ns.
     pub delay_ns: i64,

@@ -5,12 +5,10 @@
 
 use crate::data::Cloud;
 
-/// A picture, RGB, row-major.
+/// A picture of 8-bit RGB pixels, row by row.
 #[derive(Debug)]
 pub struct Picture {
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// `3 * width * height` bytes.
     pub rgb: Vec<u8>,
@@ -19,9 +17,9 @@ pub struct Picture {
 /// How a cloud is drawn.
 #[derive(Debug, Clone, Copy)]
 pub struct Style {
-    /// Columns of one side.
+    /// Width of the picture of one side, px.
     pub width: usize,
-    /// Rows.
+    /// Height of the picture, px.
     pub height: usize,
     /// Colour by camera instead of grey.
     pub by_camera: bool,

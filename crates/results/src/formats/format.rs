@@ -14,18 +14,15 @@ use std::path::Path;
 pub enum Format {
     /// PLY, binary: the layout of the command line's contract.
     Ply,
-    /// PLY as text.
+    /// PLY as text, for programs that read no binary files.
     PlyAscii,
     /// PCD of the Point Cloud Library, binary.
     Pcd,
-    /// Columns of text.
     Xyz,
     /// E57, a scan a camera.
     #[cfg(feature = "e57")]
     E57,
-    /// glTF 2.0, binary.
     Glb,
-    /// Wavefront OBJ.
     Obj,
 }
 

@@ -4,7 +4,7 @@
 use super::shape::{Column, Shape, one_line, write_points};
 use std::io::{self, BufWriter, Write};
 
-/// Writes PCD.
+/// Writes all points of a shape as PCD.
 pub(crate) fn write(out: impl Write, shape: &Shape<'_>) -> io::Result<()> {
     let mut out = BufWriter::with_capacity(1 << 18, out);
     let columns = Column::of(shape.cloud);

@@ -12,7 +12,7 @@ use std::io::{self, BufWriter, Write};
 /// Bytes gathered before they are written.
 const BUFFER_BYTES: usize = 1 << 18;
 
-/// Writes PLY as text.
+/// Writes points and triangles as PLY of text.
 pub(crate) fn write_ply_ascii(out: impl Write, shape: &Shape<'_>) -> io::Result<()> {
     let mut out = BufWriter::with_capacity(BUFFER_BYTES, out);
     let columns = Column::of(shape.cloud);
@@ -61,7 +61,7 @@ fn row(out: &mut impl Write, shape: &Shape<'_>, columns: &[Column], i: usize) ->
     writeln!(out)
 }
 
-/// Writes XYZ.
+/// Writes all points as lines of XYZ.
 pub(crate) fn write_xyz(out: impl Write, shape: &Shape<'_>) -> io::Result<()> {
     let mut out = BufWriter::with_capacity(BUFFER_BYTES, out);
     let mut columns = Column::of(shape.cloud);
@@ -77,7 +77,7 @@ pub(crate) fn write_xyz(out: impl Write, shape: &Shape<'_>) -> io::Result<()> {
     out.flush()
 }
 
-/// Writes OBJ.
+/// Writes points or triangles as OBJ.
 pub(crate) fn write_obj(out: impl Write, shape: &Shape<'_>) -> io::Result<()> {
     let mut out = BufWriter::with_capacity(BUFFER_BYTES, out);
     for comment in shape.comments {

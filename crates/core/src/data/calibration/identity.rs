@@ -14,7 +14,6 @@ use serde::{Deserialize, Serialize};
 pub struct Identity {
     /// SHA-256 of the rig file's cameras, projectors, nominal geometry and pattern.
     pub rig_sha256: String,
-    /// The board's name.
     pub board: String,
     /// SHA-256 of the board's circles.
     pub board_sha256: String,
@@ -51,9 +50,7 @@ pub struct ValidVolume {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HeadVolume {
-    /// The head.
     pub head: HeadId,
-    /// Its box.
     pub extent: Extent,
 }
 
@@ -61,9 +58,9 @@ pub struct HeadVolume {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Extent {
-    /// Lower corner, m.
+    /// The corner with the least coordinates, world, m.
     pub min_m: [f64; 3],
-    /// Upper corner, m.
+    /// The corner with the largest coordinates, world, m.
     pub max_m: [f64; 3],
 }
 

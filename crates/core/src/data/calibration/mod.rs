@@ -24,13 +24,12 @@ use std::io::Write;
 use std::ops::Range;
 use std::path::Path;
 
-/// One calibrated camera.
+/// One camera with its calibrated lens and pose.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibratedCamera {
     /// Its name in the rig.
     pub id: CameraId,
-    /// Its geometry.
     pub device: Device,
 }
 
@@ -40,7 +39,6 @@ pub struct CalibratedCamera {
 pub struct CalibratedHead {
     /// Its name in the rig.
     pub id: HeadId,
-    /// Its colour channel.
     pub channel: Channel,
     /// The projector as an inverse camera.
     pub projector: Device,
@@ -48,11 +46,12 @@ pub struct CalibratedHead {
     /// marker's place along itself needs them ([`crate::reconstruct::marker::epipolar_check`]).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows: Option<PanelRows>,
-    /// Its cameras.
     pub cameras: Vec<CalibratedCamera>,
 }
 
-/// A whole calibration.
+/// A whole calibration, as `calibration.json` holds it. `fourdbody calibrate` makes it from photographs of the board,
+/// or [`Self::nominal`] from a rig file; every reconstruction reads it, and a copy stays beside the results for as long as
+/// these exist. It is checked as a whole when it is read: what exists of it can be used.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
@@ -85,9 +84,7 @@ pub struct Calibration {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Quality {
-    /// The board's name.
     pub board: String,
-    /// Per camera.
     pub cameras: Vec<CameraResiduals>,
     /// Per head: RMS distance between the panel column that the phase names and the one that the geometry names, px.
     pub projector_rms_px: Vec<(HeadId, f64)>,
@@ -109,11 +106,10 @@ pub struct Quality {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraResiduals {
-    /// The camera.
     pub camera: CameraId,
     /// Positions of the board that it saw.
     pub positions: usize,
-    /// Circles in them.
+    /// Circles in all of these positions together.
     pub circles: usize,
     /// RMS distance along one axis, px.
     pub circles_rms_px: f64,
@@ -125,7 +121,7 @@ pub struct CameraResiduals {
 pub struct HeadLink {
     /// Their places in the rig.
     pub heads: [usize; 2],
-    /// Positions that both saw.
+    /// Positions of the board that both heads saw.
     pub positions: usize,
     /// RMS distance of the board's corners, mm.
     pub rms_mm: f64,
@@ -246,7 +242,7 @@ impl Calibration {
         write_whole(path, |file| file.write_all(text.as_bytes())).map_err(FileError::of(path))
     }
 
-    /// What the file holds.
+    /// The text of the calibration's file, with its checksum.
     pub fn text(&self) -> Result<String, serde_json::Error> {
         let mut value = serde_json::to_value(self)?;
         value["sha256"] = sha256(&value).into();

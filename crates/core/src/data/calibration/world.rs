@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct World {
-    /// Cameras that were fitted.
+    /// The number of cameras that were fitted to the rig file.
     pub cameras: usize,
     /// Root mean square over them of the distance from the rig file's place, mm.
     pub places_rms_mm: f64,
@@ -22,7 +22,7 @@ pub struct World {
 }
 
 impl World {
-    /// For people.
+    /// A line of a report for people.
     pub fn line(&self) -> String {
         let list: Vec<String> = self.vertical_positions.iter().map(ToString::to_string).collect();
         let vertical = match list.len() {

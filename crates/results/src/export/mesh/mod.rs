@@ -10,7 +10,7 @@ pub use poisson::watertight;
 
 use crate::data::Cloud;
 
-/// Which mesh.
+/// Which kind of mesh is made of clouds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MeshKind {
     /// Triangles between neighbouring pixels of each camera.
@@ -31,10 +31,9 @@ impl std::fmt::Display for MeshKind {
     }
 }
 
-/// Triangles.
+/// Triangles between the points of a cloud.
 #[derive(Debug, Clone, Default)]
 pub struct Mesh {
-    /// The corners.
     pub vertices: Cloud,
     /// Places in the corners, counter-clockwise as seen from outside.
     pub triangles: Vec<[u32; 3]>,

@@ -38,7 +38,7 @@ const DAMPING: f32 = 6.0 / 7.0;
 /// Parts with fewer triangles than this share of the largest one's are left out: closed bubbles around stray points.
 const LEAST_PART: f64 = 0.02;
 
-/// One point a cell.
+/// The mean of the points in one cell.
 #[derive(Debug, Clone, Copy)]
 struct Sample {
     /// In cells, from the corner of the box.
@@ -76,7 +76,7 @@ pub fn watertight(cloud: &Cloud, cell_m: f64) -> Result<Mesh, String> {
     Ok(Mesh { vertices: vertices(&grid, level, &samples, &crossings), triangles })
 }
 
-/// Where the box is.
+/// The box around the cloud, and the size of its cells.
 struct Grid {
     origin: [f32; 3],
     cell: f32,
@@ -197,7 +197,7 @@ impl Level {
         self.size[0] * self.size[1]
     }
 
-    /// Steps of damped Jacobi.
+    /// Takes this many steps of damped Jacobi, each over all nodes.
     fn smooth(&mut self, steps: usize) {
         for _ in 0..steps {
             let (size, slab) = (self.size, self.slab());
@@ -312,7 +312,7 @@ fn add_interpolated(fine: &mut Level, coarse: &Level) {
     });
 }
 
-/// A V-cycle of multigrid.
+/// One V-cycle of multigrid over these levels, the finest first.
 fn cycle(levels: &mut [Level]) {
     let [fine, rest @ ..] = levels else { return };
     let Some(coarse) = rest.first_mut() else {

@@ -48,7 +48,7 @@ const FIELDS: [(&str, u32, u64); 8] = [
 const UINT8: u64 = 1;
 const FLOAT32: u64 = 7;
 
-/// How clouds are written.
+/// How the clouds of a sequence are rounded and compressed.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Options {
     /// Level of zstd that chunks are compressed with, 1 to 19; 0: they are not.
@@ -76,7 +76,8 @@ impl Options {
     }
 }
 
-/// Writes a sequence.
+/// Writes a sequence, message by message. Whoever exports makes it around a file that is not complete yet; every cloud
+/// that was pushed is in the file in order of the calls, and [`Self::finish`] makes the file whole.
 pub struct SequenceWriter<W: Write + Seek> {
     writer: mcap::Writer<W>,
     options: Options,
@@ -92,7 +93,7 @@ impl<W: Write + Seek> SequenceWriter<W> {
         Self::with(out, Options::default())
     }
 
-    /// Starts a file.
+    /// Starts a file of clouds that are written with these options.
     pub fn with(out: W, options: Options) -> Result<Self, mcap::McapError> {
         let compression = (options.zstd_level > 0).then_some(mcap::Compression::Zstd);
         let writing = mcap::WriteOptions::new()

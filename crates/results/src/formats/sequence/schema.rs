@@ -131,7 +131,7 @@ fn timestamp() -> Message {
     file("google/protobuf/timestamp.proto", "google.protobuf", &[], vec![kind("Timestamp", fields)])
 }
 
-/// A `FileDescriptorProto`.
+/// A `FileDescriptorProto` of proto3, with its messages.
 fn file(name: &str, package: &str, dependencies: &[&str], messages: Vec<Message>) -> Message {
     let mut out = Message::default().bytes(1, name.as_bytes()).bytes(2, package.as_bytes());
     for dependency in dependencies {
@@ -143,7 +143,7 @@ fn file(name: &str, package: &str, dependencies: &[&str], messages: Vec<Message>
     out.bytes(12, b"proto3")
 }
 
-/// A `DescriptorProto`.
+/// A `DescriptorProto` of a message with these fields.
 fn kind(name: &str, fields: &[Field]) -> Message {
     let mut out = Message::default().bytes(1, name.as_bytes());
     for &(name, number, kind, type_name, repeated) in fields {
