@@ -31,18 +31,20 @@ use std::path::{Path, PathBuf};
 ///
 /// The directory has all that `view`, `export`, `validate` and `report` need, the calibration with it.
 ///
-/// A merged cloud has the points of all cameras of a trigger, but those that one head sees at grazing incidence and another one
-/// sees well within 2 mm; the clouds of the cameras have all of theirs.
+/// A merged cloud has the points of all cameras of a trigger, but those that one head sees at grazing incidence and
+/// another one sees well within 2 mm; the clouds of the cameras have all of theirs.
 ///
-/// A frame that shows another trigger than the one it is filed under is refused: what moves lies where the other cameras have it then.
+/// A frame that shows another trigger than the one it is filed under is refused: what moves lies where the other
+/// cameras have it then.
 ///
-/// Finished frames of the same session, calibration, method and algorithm are kept, so that an interrupted run goes on where it
-/// was; an --out with anything else is refused. All cameras of the session are reconstructed, unless --cameras or --partial says
-/// otherwise. On several machines: `--shard I/N` on each with the same --out, then `--collect N` once;
-/// `fourdbody cluster submit` does this under Slurm. Session and --out may be s3://BUCKET/PREFIX, staged in --scratch.
+/// Finished frames of the same session, calibration, method and algorithm are kept, so that an interrupted run goes
+/// on where it was; an --out with anything else is refused. All cameras of the session are reconstructed, unless
+/// --cameras or --partial chooses. On several machines: `--shard I/N` on each with the same --out, then `--collect N`
+/// once; `fourdbody cluster submit` does this under Slurm. Session and --out may be s3://BUCKET/PREFIX, staged in
+/// --scratch.
 ///
-/// Exit codes: 3 some frames are missing or were refused, and are listed in summary.json; 4 some frames are damaged, or no frame was
-/// reconstructed at all.
+/// Exit codes: 3 some frames are missing or were refused, and are listed in summary.json; 4 some frames are damaged,
+/// or no frame was reconstructed at all.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody reconstruct sessions/walk-01 --calibration calibration.json --out clouds/walk-01"
@@ -56,8 +58,8 @@ pub struct Args {
     /// Only the triggers whose index leaves I when divided by N, for runs on several machines.
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     shard: Option<(u64, u64)>,
-    /// Make summary.json and sequence.mcap of N finished shards: the files that one run would have written. Refused, with
-    /// what is missing, while a shard is not complete.
+    /// Make summary.json and sequence.mcap of N finished shards: the files that one run would have written. Refused,
+    /// with what is missing, while a shard is not complete.
     #[arg(long, value_name = "N", conflicts_with_all = ["shard", "discard", "dump_maps", "timings"])]
     #[arg(value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     collect: Option<u64>,
@@ -86,8 +88,8 @@ pub(super) struct What {
     /// The calibration, as `fourdbody calibrate` writes it.
     #[arg(long, value_name = "FILE")]
     pub(super) calibration: PathBuf,
-    /// Where phases/, calibration.json and summary.json go (clouds/, merged/ and sequence.mcap with --format ply): a directory, or
-    /// s3://BUCKET/PREFIX.
+    /// Where phases/, calibration.json and summary.json go (clouds/, merged/ and sequence.mcap with --format ply): a
+    /// directory, or s3://BUCKET/PREFIX.
     #[arg(long, value_name = "DIR")]
     pub(super) out: PathBuf,
     /// Only triggers A to B - 1.
@@ -96,25 +98,28 @@ pub(super) struct What {
     /// Only these cameras, separated by commas.
     #[arg(long, value_name = "CAMERA,...", value_delimiter = ',')]
     cameras: Vec<String>,
-    /// Only the cameras that both session and calibration have; without this and --cameras they must have the same ones.
+    /// Only the cameras that both session and calibration have; without this and --cameras they must have the same
+    /// ones.
     #[arg(long, conflicts_with = "cameras")]
     partial: bool,
     /// Triggers per second, for the times in sequence.mcap of images, which state none.
     #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = parse_rate)]
     rate_hz: f64,
-    /// How fringe orders are found: `joint`, from all cameras of a trigger together, refuses what is not certain; `paper` is section 4.1
-    /// of the paper to the letter.
+    /// How fringe orders are found: `joint`, from all cameras of a trigger together, refuses what is not certain;
+    /// `paper` is section 4.1 of the paper to the letter.
     #[arg(long, value_enum, default_value = "joint")]
     method: MethodName,
-    /// Refuse points whose fringe order leads any other by less: more is refused, and less is wrong (docs/validation.md has the curve).
+    /// Refuse points whose fringe order leads any other by less: more is refused, and less is wrong
+    /// (docs/validation.md has the curve).
     #[arg(long, value_name = "T", default_value_t = fringe_order::MARGIN, value_parser = parse_margin)]
     margin: f32,
-    /// Make one row of so many, for a part of the time: 2 keeps the surface, 3 loses a part of it; with more nobody would see that a
-    /// device has turned (docs/design/reconstruction.md, Fewer rows).
+    /// Make one row of N, for a part of the time: 2 keeps the surface, 3 loses a part of it; with more a turned
+    /// device would not be noticed (docs/design/reconstruction.md, Fewer rows).
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_bin_rows)]
     bin_rows: usize,
-    /// What to write, separated by commas: `phase` maps in phases/, which all other commands read; `ply` point clouds in clouds/ and
-    /// merged/, with sequence.mcap, sixty times the bytes. `fourdbody export` makes the very same clouds of phase maps.
+    /// What to write, separated by commas: `phase` maps in phases/, which all other commands read; `ply` point clouds
+    /// in clouds/ and merged/, with sequence.mcap, sixty times the bytes. `fourdbody export` makes the very same
+    /// clouds of phase maps.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "phase", value_name = "FORMAT,...")]
     format: Vec<FormatName>,
     /// Give every point its standard uncertainty along the line of sight, `sigma` (float, metres) in PLY files.
@@ -169,7 +174,8 @@ fn same_cameras(calibrated: &[CameraId], session: &SessionIdentity) -> Result<()
         (a, b) => format!("the session has {a}, which the calibration has not, and the calibration {b}"),
     };
     Err(format!(
-        "{found}; expected the same cameras in both. Give the calibration of the whole rig, or ask for a part of it: --cameras, or \
+        "{found}; expected the same cameras in both. Give the calibration of the whole rig, or ask for a \
+         part of it: --cameras, or \
          --partial for those that both have"
     ))
 }
@@ -205,7 +211,7 @@ impl What {
         // Of a part of a session there is no more than the indexes have.
         let open = if self.is_part { SessionReader::open_frames } else { SessionReader::open_timed };
         let source = open_by(&self.session, &cameras, open)?;
-        if let Some(left_out) = ImageTree::told(source.left_out()) {
+        if let Some(left_out) = ImageTree::remark(source.left_out()) {
             eprintln!("{left_out}");
         }
         tell_lost(source.lost());
@@ -215,7 +221,7 @@ impl What {
         if self.partial {
             cameras.retain(|camera| session.cameras.contains(camera));
         } else if self.cameras.is_empty() {
-            // Where nothing says which cameras an unreadable recording has, those are what is lacking.
+            // The cameras of an unreadable recording are not known: those are what is lacking.
             let exit = if source.lost().is_empty() { Exit::Usage } else { Exit::Corrupt };
             same_cameras(&cameras, &session).map_err(|e| Failure::new(exit, e))?;
         }
@@ -230,7 +236,8 @@ impl What {
         }
         let triggers = super::export::chosen_triggers(self.triggers.as_ref(), source.triggers())?;
         if matches!(self.method, MethodName::Paper) && calibration.pattern.marker_every > 0 {
-            let message = "--method paper: the paper's pattern has one marker, this calibration's has several; use the default method";
+            let message = "--method paper: the paper's pattern has one marker, this calibration's has \
+                 several; use the default method";
             return Err(usage(&message));
         }
         if matches!(self.method, MethodName::Paper) && self.uncertainty {
@@ -262,8 +269,8 @@ impl What {
         Ok(Opened { session, source, calibration, plan })
     }
 
-    /// Whether a part that cannot be read is one of what was asked for.
-    fn asks_for(&self, part: &LostPart) -> bool {
+    /// Whether a part that cannot be read belongs to what the options choose.
+    fn includes(&self, part: &LostPart) -> bool {
         let named = |name: &String| part.cameras.iter().any(|id| id.as_str() == name);
         self.cameras.is_empty() || self.cameras.iter().any(named)
     }
@@ -360,7 +367,7 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
         }
     }
     summary.unreadable =
-        source.lost().iter().filter(|part| what.asks_for(part)).map(LostPart::to_string).collect();
+        source.lost().iter().filter(|part| what.includes(part)).map(LostPart::to_string).collect();
     let path = collect_shards::summary_path(&plan.out, args.shard);
     summary.save(&path).map_err(|e| Failure::new(Exit::Failure, e))?;
     report(args, &summary);
@@ -391,7 +398,8 @@ fn nothing(summary: &Summary) -> String {
     let most =
         summary.most_refused_for().map_or_else(String::new, |reason| format!("; most often: {reason}"));
     format!(
-        "no frame was reconstructed: expected clouds of {frames} frames, but {refused} were refused, {gaps} are missing and {damaged} \
+        "no frame was reconstructed: expected clouds of {frames} frames, but {refused} were refused, {gaps} \
+         are missing and {damaged} \
          damaged{most}. Is it the calibration of this rig, and was there light?"
     )
 }
@@ -482,7 +490,8 @@ fn report(args: &Args, summary: &Summary) {
     for (camera, offset) in summary.marker_offsets_px() {
         if offset.abs() > REMARKABLE_PX {
             println!(
-                "  {camera}: the marker's dashes lie {offset:.2} px of the panel from where the calibration has them; has a device moved since?"
+                "  {camera}: the marker's dashes lie {offset:.2} px of the panel from where the calibration \
+                 has them; has a device moved since?"
             );
         }
     }

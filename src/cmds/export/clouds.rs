@@ -58,7 +58,8 @@ fn export(args: &Args, source: &dyn CloudSource) -> Result<Exit, Failure> {
     report(args, &summary);
     if summary.problems.is_empty() && summary.written + summary.skipped == 0 {
         let message = format!(
-            "{}: nothing was exported: expected clouds with points, found none in {} triggers (summary.json tells why frames were refused)",
+            "{}: nothing was exported: expected clouds with points, found none in {} triggers (summary.json \
+             states why frames were refused)",
             args.directory.display(),
             summary.triggers
         );
@@ -178,7 +179,8 @@ fn report(args: &Args, summary: &Summary) {
         println!("{}", serde_json::json!(summary));
     } else {
         println!(
-            "{} triggers: {} files written ({:.1} MB, {} points, {} triangles), {} were finished, {} without points, {} problems",
+            "{} triggers: {} files written ({:.1} MB, {} points, {} triangles), {} were finished, {} \
+             without points, {} problems",
             summary.triggers,
             summary.written,
             summary.bytes as f64 / 1e6,

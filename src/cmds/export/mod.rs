@@ -18,19 +18,19 @@ use std::path::PathBuf;
 
 /// Write clouds, meshes, frames and times as files that other programs read.
 ///
-/// Of a reconstruction: point clouds and triangle meshes in the formats of --to, or one sequence (mcap). Of a session: its
-/// frames (png, tiff) and when each of them was (csv). Files that are finished and not older than what they are made of are
-/// kept, so that an interrupted run goes on where it was. docs/guide/exporting.md says what each format holds and which
-/// programs open it.
+/// Of a reconstruction: point clouds and triangle meshes in the formats of --to, or one sequence (mcap). Of a
+/// session: its frames (png, tiff) and when each of them was (csv). Files that are finished and not older than what
+/// they are made of are kept, so that an interrupted run goes on where it was. docs/guide/exporting.md describes what
+/// each format holds and which programs open it.
 ///
-/// Without any choice of clouds, stored phase maps become all that `reconstruct` would have written itself, byte for byte:
-/// clouds/, merged/ and sequence.mcap.
+/// Without any choice of clouds, stored phase maps become all that `reconstruct` would have written itself, byte for
+/// byte: clouds/, merged/ and sequence.mcap.
 ///
 /// Each file of a reconstruction is held against its name, its session and summary.json.
 ///
-/// Exit codes: 0 done; 2 wrong usage; 3 done, but some frames are missing in the session, files are missing, or clouds have no points
-/// (nothing is written of these); 4 some clouds or frames are damaged or of something else, and listed, or there is nothing to export at
-/// all; 1 could not write.
+/// Exit codes: 0 done; 2 wrong usage; 3 done, but some frames are missing in the session, files are missing, or
+/// clouds have no points (nothing is written of these); 4 some clouds or frames are damaged or of something else, and
+/// listed, or there is nothing to export at all; 1 could not write.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -57,11 +57,12 @@ pub struct Args {
     /// Only these cameras, separated by commas.
     #[arg(long, value_name = "CAMERA,...", value_delimiter = ',')]
     cameras: Vec<String>,
-    /// Which clouds: a file a trigger (`merged`, less what another head sees better), a file a camera and trigger (`directional`), or both [default: merged].
+    /// Which clouds: a file a trigger (`merged`, less what another head sees better), a file a camera and trigger
+    /// (`directional`), or both [default: merged].
     #[arg(long, value_enum, value_delimiter = ',', value_name = "KIND,...")]
     clouds: Vec<Clouds>,
-    /// Triangles instead of points: `grid` between the neighbouring pixels of each camera, holes stay holes; `watertight`
-    /// one closed surface through the merged cloud. For ply, ply-ascii, glb and obj.
+    /// Triangles instead of points: `grid` between the neighbouring pixels of each camera, holes stay holes;
+    /// `watertight` one closed surface through the merged cloud. For ply, ply-ascii, glb and obj.
     #[arg(long, value_enum, value_name = "KIND")]
     mesh: Option<MeshName>,
     /// With --mesh grid: the longest edge, in median spacings of a cloud's points.
@@ -70,8 +71,8 @@ pub struct Args {
     /// With --mesh watertight: side of the cells that the surface is found on, mm.
     #[arg(long, value_name = "MM", default_value_t = 5.0, value_parser = parse_cell)]
     cell: f64,
-    /// With --to mcap: round places to steps of at most this, mm (0.02 is far below the measurement's uncertainty), normals and
-    /// intensities likewise, and compress: less than half of the bytes.
+    /// With --to mcap: round places to steps of at most this, mm (0.02 is far below the measurement's uncertainty),
+    /// normals and intensities likewise, and compress: less than half of the bytes.
     #[arg(long, value_name = "MM", value_parser = parse_step)]
     quantize: Option<f64>,
     /// With --to mcap: level of compression (zstd), 0 for none [default: 0, or 1 with --quantize].
@@ -165,18 +166,19 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .build()
         .map_err(|e| Failure::new(Exit::Failure, e))?;
     match of_session {
-        0 if asks_for_all(args) => pool.install(|| everything(args)),
+        0 if is_plain(args) => pool.install(|| everything(args)),
         0 => pool.install(|| clouds::run(args)),
         n if n == args.to.len() => pool.install(|| session::run(args)),
         _ => {
-            let message = "--to: png, tiff and csv are made of a session, the others of a reconstruction: export them one after the other";
+            let message = "--to: png, tiff and csv are made of a session, the others of a reconstruction: \
+                 export them one after the other";
             Err(Failure::new(Exit::Usage, message))
         }
     }
 }
 
 /// Whether stored phase maps are to become what `reconstruct` would have written.
-fn asks_for_all(args: &Args) -> bool {
+fn is_plain(args: &Args) -> bool {
     let chosen = args.triggers.is_some() || !args.cameras.is_empty() || !args.clouds.is_empty();
     let plain = args.to == [Target::Ply] && args.mesh.is_none();
     plain && !chosen && args.directory.join("phases").is_dir()
@@ -200,7 +202,8 @@ fn everything(args: &Args) -> Result<Exit, Failure> {
         let from_phase_maps::Exported { clouds, merged_points, triggers, kept, empty, .. } = made;
         let merged = triggers - empty;
         println!(
-            "{clouds} clouds; {merged_points} points in {merged} merged clouds; {kept} of {triggers} triggers finished before, {empty} \
+            "{clouds} clouds; {merged_points} points in {merged} merged clouds; {kept} of {triggers} \
+             triggers finished before, {empty} \
              without a point"
         );
     }

@@ -54,7 +54,7 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
         None => 0,
     };
     report(args, &session, frames.as_ref(), rows, edges, &ptp);
-    // Whoever chose among the cameras asked for nothing else.
+    // With --cameras, what cannot be read may be of others.
     let damaged = (lost && args.cameras.is_empty())
         || frames.as_ref().is_some_and(|frames| !frames.problems.is_empty())
         || rows.is_some_and(|rows| rows.damaged > 0);
@@ -67,16 +67,17 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
     })
 }
 
-/// Refuses more frames than the recordings have room to tell anything of: a number in a small file would otherwise become a
-/// large one.
+/// Refuses more frames than the recordings have room for: a false number in a small file would otherwise make a large
+/// one.
 fn check_extent(
     session: &SessionReader,
     path: &Path,
     triggers: &Range<u64>,
     cameras: usize,
 ) -> Result<(), Failure> {
-    // A gap has a record of more bytes; so many frames are no burden, whatever is lost of a recording.
+    // A gap record has more bytes than this.
     const BYTES_EACH: u64 = 8;
+    // This number of frames is no burden, whatever is lost of a recording.
     const ALWAYS: u64 = 1 << 20;
     let segments = session.recordings().iter().flat_map(|recording| &recording.segments);
     let bytes: u64 = segments.map(|segment| segment.length() as u64).sum();
@@ -169,7 +170,8 @@ fn report(
         println!("timing.csv: {frames} frames, {gaps} gaps, {damaged} damaged");
         if let Some(witness) = ptp.witnesses.first() {
             println!(
-                "PTP time by {}, {:.1} us before its stamps, to {:.1} us besides what PTP itself leaves open; {} cameras agree",
+                "PTP time by {}, {:.1} us before its stamps, to {:.1} us besides what PTP itself leaves \
+                 open; {} cameras agree",
                 witness.camera,
                 witness.delay_ns as f64 / 1e3,
                 witness.open_ns as f64 / 1e3,

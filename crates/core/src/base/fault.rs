@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How a command ends, and why something failed: the exit code, and what was expected, found, and is to be done.
+//! How a command ends, and why something failed: the exit code, and a message of what was expected, what was found and
+//! what to do.
 
 use serde::{Deserialize, Serialize};
 use std::fmt::Display;
@@ -23,7 +24,7 @@ pub enum Exit {
 }
 
 impl Exit {
-    /// The exit that a code of a fault means.
+    /// The exit of the code that a fault has.
     pub fn from_code(code: u8) -> Self {
         let known = [Self::Done, Self::Usage, Self::DataLoss, Self::Corrupt, Self::Device];
         known.into_iter().find(|exit| *exit as u8 == code).unwrap_or(Self::Failure)
@@ -70,7 +71,7 @@ pub struct FileError {
 }
 
 impl FileError {
-    /// What makes reasons errors of this file.
+    /// A function that makes a reason an error of this file.
     pub fn of<E: Display>(path: &Path) -> impl Fn(E) -> Self + Copy + '_ {
         |reason| Self { path: path.to_owned(), reason: reason.to_string() }
     }

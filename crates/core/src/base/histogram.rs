@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Histograms of durations that cost a few atomic additions a value: threads count while others look.
+//! Histograms of durations that cost a few atomic additions a value: threads count while others read.
 
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -7,7 +7,7 @@ use std::time::Duration;
 
 /// Classes per doubling: a quantile is at most an eighth too high.
 const PER_OCTAVE: u32 = 8;
-/// From 1 us to over an hour.
+/// The number of classes: from 1 us to over an hour.
 const CLASSES: usize = 32 * PER_OCTAVE as usize;
 
 /// Counts of durations in logarithmic classes.
@@ -51,7 +51,7 @@ impl Histogram {
         self.loaded().iter().sum()
     }
 
-    /// The sum of all, us.
+    /// The sum of all durations, us.
     pub fn sum_us(&self) -> u64 {
         self.sum_us.load(Ordering::Relaxed)
     }

@@ -35,7 +35,7 @@ impl<T: Copy> Plane<T> {
         Self { width, height, data: vec![value; width * height] }
     }
 
-    /// A plane whose value at column u, row v is `value(u, v)`, asked for row after row.
+    /// A plane whose value at column u, row v is `value(u, v)`, called row after row.
     pub fn from_fn(width: usize, height: usize, mut value: impl FnMut(usize, usize) -> T) -> Self {
         let rows = (0..height).flat_map(|v| (0..width).map(move |u| (u, v)));
         Self { width, height, data: rows.map(|(u, v)| value(u, v)).collect() }
@@ -60,7 +60,8 @@ impl<T: Copy> Plane<T> {
         self.data.resize(width * height, value);
     }
 
-    /// Makes it a plane of this size whose values are any: those that it had, or `value`. For stages that write all.
+    /// Makes it a plane of this size with arbitrary values (those that it had, or `value`), for stages that write all
+    /// of them.
     pub fn reshape(&mut self, width: usize, height: usize, value: T) {
         (self.width, self.height) = (width, height);
         if self.data.len() < width * height {
@@ -68,8 +69,8 @@ impl<T: Copy> Plane<T> {
         }
     }
 
-    /// Makes room for so many values, where there is less. What it holds is lost then. Where `value` is 0 the system gives
-    /// memory only as it is written to.
+    /// Makes room for this number of values, where there is less. What it holds is lost then. Where `value` is 0 the
+    /// system gives memory only as it is written to.
     pub fn reserve(&mut self, values: usize, value: T) {
         if self.data.len() < values {
             *self = Self { width: 0, height: 0, data: vec![value; values] };

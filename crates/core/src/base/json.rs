@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! JSON that somebody else has written: an object is an object.
+//! JSON that another program has written: an object is an object.
 //!
 //! The types of this program are read by field name. What is derived for them also takes a list of their fields in
 //! order, and fills up what the list lacks: `[]` is then a remark without a rating, or the wish for a capture. Here a
@@ -12,7 +12,7 @@ use std::fmt;
 use std::io::Write;
 use std::path::Path;
 
-/// A value that was read so.
+/// A value that was read in this way.
 #[derive(Debug)]
 pub struct Strict<T>(pub T);
 
@@ -48,7 +48,7 @@ pub fn save(path: &Path, value: &impl serde::Serialize) -> Result<(), String> {
     super::write_whole(path, |file| writeln!(file, "{text}")).map_err(|e| failed(&e))
 }
 
-/// Around whatever takes part in reading: it passes everything on, and asks for an object where fields are expected.
+/// A wrapper of every part of a deserializer: it forwards all calls, but requests a map where a structure is expected.
 struct Objects<T>(T);
 
 macro_rules! pass_on {
@@ -206,7 +206,7 @@ impl<'de, A: VariantAccess<'de>> VariantAccess<'de> for Objects<A> {
     }
 }
 
-/// The fields of a variant.
+/// Reads the fields of a variant as a map.
 struct Fields<V>(V);
 
 impl<'de, V: Visitor<'de>> DeserializeSeed<'de> for Fields<V> {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What everything stands on: identifiers, images, clocks, histograms, files that are written whole, files and
-//! JSON that others have made, faults, printing.
+//! JSON of other programs, faults, printing.
 
 mod atomic_file;
 /// A straight line from one clock's time to another's, from samples of both.
@@ -12,11 +12,11 @@ pub mod histogram;
 pub mod ids;
 /// Row-major image planes and grey PNG files.
 pub mod image;
-/// JSON of others: an object is an object.
+/// JSON of other programs, in which an object is an object.
 pub mod json;
 /// Text that may be printed to a terminal.
 pub mod print;
-/// Files of others: regular, of a bounded size, without waiting.
+/// Files of other programs: regular, of a bounded size, without waiting.
 pub mod regular;
 /// The host's clocks: time of day and monotonic time.
 pub mod time;

@@ -14,13 +14,13 @@ pub struct ApiConfig {
     pub listen: Option<SocketAddr>,
     /// Certificate and key of the TCP side.
     pub tls: Option<TlsConfig>,
-    /// A network gets plain text: somebody else encrypts, or nobody does.
+    /// Whether a network may get plain text: another program encrypts, or none does.
     pub plain_text_on_network: bool,
     /// Names under which browsers and programs reach the TCP side, each with or without a port.
     pub hosts: Vec<String>,
-    /// Who may do what; without it everybody who can connect may do everything.
+    /// The file of tokens with their roles; without it every program that can connect may do everything.
     pub tokens: Option<PathBuf>,
-    /// Every change of state is written down here.
+    /// The log of all requests that change something.
     pub audit: PathBuf,
     /// The other nodes, as this one reaches them.
     pub peers: Vec<PeerConfig>,
@@ -39,7 +39,7 @@ pub struct SocketConfig {
 pub struct TlsConfig {
     /// The certificate, followed by the ones that vouch for it.
     pub certificate: PathBuf,
-    /// Its private key; nobody but its owner may read it.
+    /// Its private key, which only its owner may read.
     pub key: PathBuf,
 }
 
@@ -52,7 +52,7 @@ pub struct PeerConfig {
     pub url: String,
     /// The secret that this node shows it.
     pub token_file: Option<PathBuf>,
-    /// Whom to believe that it is the other node (PEM).
+    /// The certificate of the authority that signed its certificate (PEM).
     pub ca: Option<PathBuf>,
 }
 
@@ -72,7 +72,7 @@ impl Default for ApiConfig {
 }
 
 impl ApiConfig {
-    /// Whether anybody but this machine can connect.
+    /// Whether other machines can connect.
     pub fn is_on_network(&self) -> bool {
         self.listen.is_some_and(|address| !address.ip().is_loopback())
     }
@@ -85,7 +85,8 @@ pub(super) fn read_api(section: Section<'_>, base: &Path, audit_default: Option<
         .map(|path| SocketConfig { path, group: section.has("group").then(|| section.text("group")) });
     let listen = section.has("listen").then(|| read_listen(&section)).flatten();
     if socket.is_none() && !section.has("listen") {
-        section.problem("", "expected `socket`, `listen` or both: nobody could reach the node");
+        section
+            .problem("", "expected `socket`, `listen` or both: without them no program can reach the node");
     }
     if socket.is_none() && section.has("group") {
         section.problem("group", "is the group of `socket`, which is not given");
@@ -121,20 +122,26 @@ fn read_listen(section: &Section<'_>) -> Option<SocketAddr> {
     address
 }
 
-/// A network is dangerous: what is open to it must be asked for.
+/// A network is dangerous: the file must state what is open to it.
 fn check_network(section: &Section<'_>, config: &ApiConfig) {
     let Some(address) = config.listen else { return };
     if config.is_on_network() {
         if config.tokens.is_none() {
             section.problem(
                 "listen",
-                format!("{address} is reachable from a network, expected a loopback address, or authentication by `tokens` (see `fourdbody token --help`)"),
+                format!(
+                    "{address} is reachable from a network, expected a loopback address, or \
+                     authentication by `tokens` (see `fourdbody token --help`)"
+                ),
             );
         }
         if config.tls.is_none() && !config.plain_text_on_network {
             section.problem(
                 "tls",
-                format!("is missing: {address} is reachable from a network; give certificate and key, or ask for plain text with plain_text_on_network = true"),
+                format!(
+                    "is missing: {address} is reachable from a network; give certificate and key, or \
+                     ask for plain text with plain_text_on_network = true"
+                ),
             );
         }
     }

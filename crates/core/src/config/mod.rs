@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Configuration files, read and validated with all problems at once.
 //!
-//! Two files: the rig (`rig.toml`: heads, pattern, board, nominal geometry; the same on every machine) and
-//! the node (`node-X.toml`: what one acquisition PC needs). Both go through [`Section`], which notes every
-//! problem under its key path, so that a user repairs a file in one go.
+//! Three files: the rig (`rig.toml`: heads, pattern, board, nominal geometry; the same on every machine), the node
+//! (`node-X.toml`: what one acquisition PC needs) and the worker (`worker.toml`). All go through [`Section`], which
+//! notes every problem under its key path, so that a user can repair a file at once.
 
 mod api;
 mod node;
@@ -88,7 +88,7 @@ fn as_a_whole(path: &Path, message: String) -> ConfigError {
     ConfigError { path: path.to_owned(), problems: vec![Problem { key: String::new(), message }] }
 }
 
-/// What `read` makes of a file's outermost table; the problems that it noted, if there are any.
+/// The value that `read` makes of a file's outermost table, or all problems that it noted.
 fn read_all<T>(table: &toml::Table, read: impl FnOnce(Section<'_>) -> Option<T>) -> Result<T, Vec<Problem>> {
     let problems = RefCell::default();
     let config = read(Section::root(table, &problems));

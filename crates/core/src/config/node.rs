@@ -67,9 +67,9 @@ pub struct CameraConfig {
     pub id: CameraId,
     /// Aravis device id or IP address.
     pub address: String,
-    /// What is said in the node file's own words, its own before the common ones.
+    /// Its settings by the node file's own words; those of `[[camera]]` stand before those of `[acquisition]`.
     pub words: CameraWords,
-    /// Raw settings, the common ones first: set in this order after what the words say, and read back.
+    /// Raw settings, the common ones first: set in this order after those by words, and read back.
     pub settings: Vec<FeatureSetting>,
 }
 
@@ -107,7 +107,7 @@ pub enum WhenFull {
     Stop,
 }
 
-/// What the threads of the pixel path ask of the system (`[realtime]`); what it refuses is a warning.
+/// What the threads of the pixel path request of the system (`[realtime]`); a refusal is a warning.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Realtime {
     /// Priority under SCHED_FIFO, 1 to 99; 0: an ordinary thread.
@@ -247,7 +247,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         section.finish();
         values
     });
-    // Beside what it is about, unless configured otherwise.
+    // The log lies beside the sessions, unless configured otherwise.
     let audit = storage.as_ref().map(|(sessions_dir, ..)| sessions_dir.join("audit.jsonl"));
     let api = root.section("api").map(|section| read_api(section, base, audit));
     let acquisition = root.section("acquisition").map(read_acquisition);
@@ -333,7 +333,7 @@ fn read_camera(section: Section<'_>, common: Option<&Acquisition>) -> CameraConf
     let mut settings = read_settings(&section, &own, common.map(|common| &common.words));
     let mut words = own;
     if let Some(common) = common {
-        // What a camera says of itself stands above what is said of all.
+        // What `[[camera]]` states replaces what is stated for all cameras.
         let unsaid =
             |setting: &&FeatureSetting| word_of(&setting.feature).is_none_or(|word| !section.has(word));
         settings = common.settings.iter().filter(unsaid).cloned().chain(settings).collect();
@@ -389,11 +389,11 @@ fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[Ca
 /// Features whose value is an exposure in microseconds.
 const EXPOSURES_US: [&str; 2] = ["ExposureTime", "ExposureTimeAbs"];
 
-/// An exposure that is said, in a word or as a raw setting, ends within the trigger period.
+/// An exposure, by word or as a raw setting, must end within the trigger period.
 fn check_exposure(root: &Section<'_>, rig: &Rig, head: &Head, i: usize, camera: &CameraConfig) {
     let limit_us = head.exposure_limit_us(rig.trigger_rate_hz);
     let own = root.list("camera").get(i).and_then(toml::Value::as_table);
-    let said = |key: &str| own.is_some_and(|table| table.contains_key(key));
+    let stated = |key: &str| own.is_some_and(|table| table.contains_key(key));
     let listed = |feature: &str| {
         let settings = own.and_then(|table| table.get("settings")).and_then(toml::Value::as_array);
         settings.is_some_and(|list| {
@@ -404,7 +404,7 @@ fn check_exposure(root: &Section<'_>, rig: &Rig, head: &Head, i: usize, camera: 
         true => format!("camera[{i}].{key}"),
         false => format!("acquisition.{key}"),
     };
-    let word = camera.words.exposure_us.map(|us| (in_place(said("exposure_us"), "exposure_us"), us));
+    let word = camera.words.exposure_us.map(|us| (in_place(stated("exposure_us"), "exposure_us"), us));
     let raw = camera.settings.iter().filter(|setting| EXPOSURES_US.contains(&setting.feature.as_str()));
     let raw = raw.filter_map(|setting| {
         let us = match setting.value {
@@ -416,7 +416,8 @@ fn check_exposure(root: &Section<'_>, rig: &Rig, head: &Head, i: usize, camera: 
     });
     for (key, us) in word.into_iter().chain(raw).filter(|(_, us)| *us >= limit_us) {
         let message = format!(
-            "an exposure of {us} us for {}, expected less than {limit_us:.1} us: behind the delay of head {} it must end within \
+            "an exposure of {us} us for {}, expected less than {limit_us:.1} us: behind the delay of head \
+             {} it must end within \
              the trigger period of {:.1} us ({} Hz), or the camera takes every second trigger only",
             camera.id,
             head.id,
@@ -467,7 +468,7 @@ mod tests {
                 ..CameraWords::default()
             }
         );
-        // Common settings come first; one that a word of the camera's own says is left out.
+        // Common settings come first; one that a word of the camera itself replaces is left out.
         let settings: Vec<String> =
             camera.settings.iter().map(|s| format!("{} {}", s.feature, s.value)).collect();
         assert_eq!(settings, ["LineSelector Line0", "LineSelector Line1"]);
@@ -483,27 +484,27 @@ mod tests {
     }
 
     #[test]
-    fn an_exposure_beyond_the_trigger_period_is_refused_wherever_it_is_said() {
+    fn an_exposure_beyond_the_trigger_period_is_refused_wherever_it_stands() {
         const COMMON: &str = "[acquisition]\n";
         const OWN: &str = "id = \"h0_low\"\n";
         const LEFT: &str =
             "left_to_settings = [\"exposure_us\"]\nsettings = [[\"ExposureTimeAbs\", 17000.0]]\n";
         assert_eq!(problems(str::to_owned), [""; 0]);
-        let said = |place: &str, words: &str| {
+        let stated = |place: &str, words: &str| {
             problems(|text| {
                 let others = text.lines().filter(|line| place != COMMON || !line.starts_with("exposure_us"));
                 let text: String = others.map(|line| format!("{line}\n")).collect();
                 text.replace(place, &format!("{place}{words}"))
             })
         };
-        assert_eq!(said(COMMON, "exposure_us = 8133.0\n"), [""; 0]);
+        assert_eq!(stated(COMMON, "exposure_us = 8133.0\n"), [""; 0]);
         for (place, words, keys) in [
             (COMMON, "exposure_us = 8134.0\n", vec!["acquisition.exposure_us"; 4]),
             (OWN, "exposure_us = 17000\n", vec!["camera[1].exposure_us"]),
             (OWN, LEFT, vec!["camera[1].settings"]),
             (COMMON, LEFT, vec!["acquisition.settings"; 4]),
         ] {
-            let found = said(place, words);
+            let found = stated(place, words);
             assert_eq!(found.len(), keys.len(), "{found:#?}");
             for (line, key) in found.iter().zip(keys) {
                 assert!(line.starts_with(key) && line.contains("every second trigger"), "{line}");
@@ -520,14 +521,14 @@ mod tests {
         // Left for all cameras, and by none.
         assert_eq!(read(left, &format!("{OWN}{list}")).1, [""; 0]);
         assert_eq!(read("", &format!("{OWN}{list}")).1, ["settings[0]"]);
-        // One that says it itself leaves it to no list.
+        // A camera that states the word itself does not leave it to a list.
         let (camera, problems) = read(&format!("{left}{list}"), &format!("{OWN}trigger_edge = \"falling\""));
         assert_eq!(problems, [""; 0]);
         assert!(camera.settings.is_empty() && camera.words.left_to_settings.is_empty(), "{camera:?}");
     }
 
     #[test]
-    fn words_that_are_wrong_or_said_twice_are_problems_with_key_paths() {
+    fn words_that_are_wrong_or_there_twice_are_problems_with_key_paths() {
         let own = format!(
             "{OWN}trigger_edge = \"up\"\nexposure_us = -1\npixel = \"rgb8\"\npacket_delay_us = \"soon\"\n\
              left_to_settings = [\"colour\", \"gain_db\"]\ngain_db = 0\nexposure = 5\n\

@@ -28,8 +28,8 @@ pub enum Pixel {
     /// 14 bits in two bytes.
     Mono14,
     Mono16,
-    /// 8 bits behind a mosaic of filters: of two columns and rows the pixels of one colour are taken, at half the size. Which
-    /// pixels these are follows from what the camera calls it.
+    /// 8 bits behind a mosaic of filters: of two columns and rows the pixels of one colour are taken, at half the
+    /// size. Which pixels these are follows from what the camera calls it.
     Bayer8(Mosaic),
 }
 
@@ -50,7 +50,8 @@ pub enum Mosaic {
 impl Mosaic {
     pub const ALL: [Self; 4] = [Self::GR, Self::RG, Self::GB, Self::BG];
 
-    /// Column and row of a colour among two by two pixels. Of the two greens it is that of the first row.
+    /// Column and row, 0 or 1, of a colour in each square of two by two pixels. Of the two greens it is that of the
+    /// first row.
     pub fn place(self, channel: Channel) -> (usize, usize) {
         let first = match self {
             Self::GR => [Channel::G, Channel::R],
@@ -66,7 +67,7 @@ impl Mosaic {
     }
 }
 
-/// What a pixel is called where.
+/// The names and the depth of a form of a pixel.
 struct Form {
     pixel: Pixel,
     word: &'static str,
@@ -96,7 +97,8 @@ const FORMS: [Form; 13] = [
 ];
 
 impl Pixel {
-    /// Those of grey, in the order in which a camera's is chosen: 8 bits, then by bytes, then by depth.
+    /// The grey forms, in the order in which one is chosen of those that a camera has: 8 bits first, then by bytes,
+    /// then by depth.
     pub const GREY: [Self; 9] = [
         Self::Mono8,
         Self::Mono10p,
@@ -133,27 +135,27 @@ impl Pixel {
         self.form().depth
     }
 
-    /// Bits that it takes of a row.
+    /// Bits of a row that a pixel takes, with its padding.
     pub fn bits(self) -> usize {
         (self.code() >> 16 & 0xff) as usize
     }
 
-    /// Bytes of so many pixels. Of the formats that pack them, rows that end within a byte are refused before.
+    /// Bytes of this number of pixels. Where a format packs pixels, rows that end within a byte are refused earlier.
     pub fn bytes(self, pixels: usize) -> usize {
         (pixels * self.bits()).div_ceil(8)
     }
 
-    /// Columns, and rows, of the camera's image for one of the recording's.
+    /// Columns of the camera's image for each column of the recording, and likewise rows: 2 behind a mosaic, else 1.
     pub fn step(self) -> usize {
         if matches!(self, Self::Bayer8(_)) { 2 } else { 1 }
     }
 
-    /// Bytes that a camera sends for an image of so many columns and rows of the recording.
+    /// Bytes that a camera sends for a recorded image of this width and height.
     pub fn sent_bytes(self, (width, height): (usize, usize)) -> usize {
         self.bytes(width * height * self.step() * self.step())
     }
 
-    /// Columns of whose multiples rows end with a byte.
+    /// Rows of a multiple of this number of columns end with a whole byte.
     pub fn columns_step(self) -> usize {
         match self.bits() {
             10 => 4,

@@ -50,8 +50,8 @@ pub struct Head {
 }
 
 impl Head {
-    /// An exposure must be shorter than this, us: behind its delay it ends within the trigger period. With a longer one a
-    /// camera takes every second trigger.
+    /// An exposure must be shorter than this, us, so that it ends within the trigger period after its delay. With a
+    /// longer one a camera ignores every second trigger.
     pub fn exposure_limit_us(&self, trigger_rate_hz: f64) -> f64 {
         exposure_limit_us(self.delay_ns as f64 / 1000.0, trigger_rate_hz)
     }
@@ -88,7 +88,8 @@ pub struct Rig {
     /// Names the rig in recordings and calibrations.
     pub name: String,
     pub trigger_rate_hz: f64,
-    /// Triggers before trigger 0 of every session, for cameras that need some to wake up; their frames are not recorded.
+    /// Triggers before trigger 0 of every session, for cameras that need some to wake up; their frames are not
+    /// recorded.
     pub warm_up_triggers: u32,
     /// Lower corner of the working volume, world, m.
     pub volume_min_m: [f64; 3],
@@ -251,7 +252,8 @@ fn read_head(section: Section<'_>, trigger_rate_hz: f64) -> Head {
         section.problem(
             "exposure_us",
             format!(
-                "delay and exposure together take {} us, expected less than the trigger period of {:.1} us ({trigger_rate_hz} Hz)",
+                "delay and exposure together take {} us, expected less than the trigger period of {:.1} us \
+                 ({trigger_rate_hz} Hz)",
                 delay_us + exposure_us,
                 1e6 / trigger_rate_hz
             ),
@@ -371,7 +373,7 @@ mod tests {
         assert!(rig.cameras().all(|(_, c)| (c.device.width, c.device.height) == (1920, 1200)));
     }
 
-    /// What is said of the fringes of the shipped rig, changed; by camera.
+    /// The problems of the fringes of the shipped rig, changed; by camera.
     fn fringes(change: impl Fn(String) -> String) -> Vec<String> {
         let rig = Rig::from_table(&change(shipped()).parse().expect("TOML")).expect("a rig to record with");
         rig.unusable_fringes().iter().map(ToString::to_string).collect()
@@ -409,16 +411,16 @@ mod tests {
             found.iter().all(|line| line.contains("along the line from camera to projector")),
             "{found:#?}"
         );
-        for (from, to, said) in [
+        for (from, to, text) in [
             ("focal_px = 2048.0", "focal_px = 341.0", "of 4 to 40 px in the image"),
             ("\nperiod_px = 8.0", "\nperiod_px = 64.0", "of 4 to 40 px in the image"),
             ("marker_period_px = 8.0", "marker_period_px = 64.0", ""),
         ] {
             let found =
                 fringes(|text| text.replace(from, to).replace("marker_index = 80", "marker_index = 9"));
-            let right = |line: &String| line.contains(said) && line.contains("a period of 4 to 40 px");
+            let right = |line: &String| line.contains(text) && line.contains("a period of 4 to 40 px");
             assert!(found.iter().all(right), "{found:#?}");
-            assert_eq!(found.len(), if said.is_empty() { 0 } else { 8 }, "{found:#?}");
+            assert_eq!(found.len(), if text.is_empty() { 0 } else { 8 }, "{found:#?}");
         }
     }
 

@@ -36,7 +36,7 @@ impl<'a> Section<'a> {
 
     /// Notes a problem at `key` (empty: at this table).
     pub fn problem(&self, key: &str, message: impl Into<String>) {
-        // A key is whatever somebody has put between quotation marks.
+        // A key between quotation marks may hold any character.
         let (key, message) = (one_line(self.path_of(key)), one_line(message.into()));
         self.problems.borrow_mut().push(Problem { key, message });
     }
@@ -51,8 +51,8 @@ impl<'a> Section<'a> {
         self.table.get(key)
     }
 
-    /// The value at `key` as `take` has it. Where the key is missing: `default`, without which that is a problem; `placeholder`
-    /// stands in after a problem.
+    /// The value at `key` as `take` has it. Where the key is missing: `default`, without which that is a problem;
+    /// `placeholder` stands in after a problem.
     fn read<T>(
         &self,
         key: &'static str,
@@ -216,7 +216,7 @@ impl<'a> Section<'a> {
         tables.filter_map(|(i, value)| self.section_of(&format!("{key}[{i}]"), value)).collect()
     }
 
-    /// Notes every key that nobody asked for. Call it last.
+    /// Notes every key that no getter has read as a problem. Call it last.
     pub fn finish(self) {
         let seen = self.seen.borrow();
         for key in self.table.keys().filter(|key| !seen.contains(key.as_str())) {

@@ -47,7 +47,7 @@ impl TriggerSource {
         }
     }
 
-    /// What it is called where a device is named.
+    /// The name that stands where the HSU's serial device is named.
     pub fn device(&self) -> PathBuf {
         match self {
             Self::Hsu { device, .. } => device.clone(),
@@ -55,7 +55,7 @@ impl TriggerSource {
         }
     }
 
-    /// What action commands cannot do for this rig, and what their cameras must be.
+    /// Notes what action commands cannot do for this rig, and what they require of its cameras.
     pub(super) fn check(&self, root: &Section<'_>, rig: &Rig, cameras: &[CameraConfig]) {
         if self.action().is_none() {
             return;
@@ -90,13 +90,13 @@ impl TriggerSource {
                 );
                 root.problem(&format!("camera[{i}].address"), message);
             }
-            let said = [
+            let stated = [
                 ("trigger_line", camera.words.trigger_line.is_some()),
                 ("trigger_edge", camera.words.trigger_edge.is_some()),
             ];
-            for (word, _) in said.into_iter().filter(|(_, said)| *said) {
+            for (word, _) in stated.into_iter().filter(|(_, is_there)| *is_there) {
                 let message = format!(
-                    "is said for {}, and its triggers are action commands, which come by no line: leave it out",
+                    "is given for {}, and its triggers are action commands, which come by no line: leave it out",
                     camera.id
                 );
                 root.problem(&format!("camera[{i}].{word}"), message);

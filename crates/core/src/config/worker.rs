@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the worker needs: where the nodes' sessions are, where results go, how much it may take (`worker.toml`).
+//! What the worker needs: where the nodes' sessions are, where results go, how much memory and disk it may use
+//! (`worker.toml`).
 
 use super::section::Section;
 use super::{ConfigError, read_all, read_table};
@@ -25,7 +26,7 @@ pub struct WorkerNode {
 /// Which of the waiting sessions is reconstructed next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// The last one recorded: what somebody waits for.
+    /// The one that was recorded last: users wait for its results.
     Newest,
     Oldest,
 }
@@ -56,15 +57,15 @@ pub struct WorkerConfig {
     pub nodes: Vec<WorkerNode>,
     /// Results are directories below this one, named as their sessions.
     pub results: PathBuf,
-    /// For sessions that are begun from now on.
+    /// The calibration of sessions whose reconstruction begins from now on.
     pub calibration: PathBuf,
-    /// Where recordings are copied to by whoever keeps them; `prune` compares with it.
+    /// Where the laboratory copies its recordings to; `prune` deletes only what is there.
     pub archive: Option<PathBuf>,
     pub order: Order,
     pub output: Output,
-    /// At most so many threads; none: one per core.
+    /// The most threads to use; `None`: one per core.
     pub threads: Option<usize>,
-    /// At most so much memory, bytes.
+    /// The most memory to use, bytes.
     pub memory_bytes: u64,
     /// Nothing is written when the results' disk has less free, bytes.
     pub reserve_bytes: u64,
@@ -75,7 +76,7 @@ pub struct WorkerConfig {
 const FORMAT: u64 = 1;
 const MIB: u64 = 1 << 20;
 
-/// Memory of a reconstruction beside its threads' (measured: docs/benchmarks.md).
+/// Memory of a reconstruction without that of its threads, bytes (measured: docs/benchmarks.md).
 const BASE_BYTES: u64 = 400 * MIB;
 /// Memory of each thread of a reconstruction, bytes (measured: docs/benchmarks.md).
 const THREAD_BYTES: u64 = 500 * MIB;
@@ -111,7 +112,8 @@ fn read_worker(root: Section<'_>, base: &Path) -> Option<WorkerConfig> {
     if let Some(archive) = &archive {
         for node in nodes.iter().filter(|node| overlap(archive, &node.sessions_dir)) {
             let message = format!(
-                "{} and the sessions of node {} ({}) are one directory, or one lies in the other; expected another place: what is \
+                "{} and the sessions of node {} ({}) are one directory, or one lies in the other; expected \
+                 another place: what is \
                  copied there must outlive what is deleted here",
                 archive.display(),
                 node.name,
@@ -152,7 +154,7 @@ fn overlap(a: &Path, b: &Path) -> bool {
     a.starts_with(&b) || b.starts_with(&a) || [(&a, &b), (&b, &a)].into_iter().any(|(a, b)| lies_in(a, b))
 }
 
-/// Where a path leads: behind the links of what is there of it.
+/// The path behind all links; of the part that does not exist yet, as it is written.
 fn resolved(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let there = path.ancestors().find_map(|part| Some((part, part.canonicalize().ok()?)));
@@ -248,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn all_problems_are_told_at_once() {
+    fn all_problems_are_reported_at_once() {
         let node = "[[node]]\nname = \"a\"\nsessions_dir = \"s\"\n";
         let text = format!("format = 1\nresults = \"r\"\n{node}{node}[work]\nwrite = \"e57\"\nspeed = 3\n");
         let error = load(&text).expect_err("wrong");

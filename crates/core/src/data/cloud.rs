@@ -15,7 +15,7 @@ pub struct Cloud {
     pub pixel: Vec<[u16; 2]>,
     /// Source camera: its place in the calibration. Empty in a directional cloud.
     pub camera: Vec<u8>,
-    /// Standard uncertainty of the place along the line of sight, metres. Empty where it was not asked for.
+    /// Standard uncertainty of the place along the line of sight, metres. Empty without `--uncertainty`.
     pub sigma_m: Vec<f32>,
 }
 

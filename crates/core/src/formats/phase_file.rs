@@ -10,12 +10,12 @@
 //! u32       CRC-32 of everything before
 //! ```
 //!
-//! Numbers are little endian. The body holds, one after the other: the runs (LEB128: rows to the run before; columns to
-//! its end, or in a new row the column itself; length); for each run its first phase less that of the run before and, if
-//! it has two pixels, its first step less that of the run before (LEB128 of zigzag); the second differences of the
-//! phase along the runs; the differences of the light, and of the uncertainty where there is one, from pixel to pixel. The
-//! differences are zigzag numbers in blocks of 64: a byte says how many bits each has, then come 64 times as many bits,
-//! the first number in the lowest. The last block is filled up with zeros.
+//! Numbers are little endian. The body holds, one after the other: the runs (LEB128: rows to the run before; columns
+//! to its end, or in a new row the column itself; length); for each run its first phase less that of the run before
+//! and, if it has two pixels, its first step less that of the run before (LEB128 of zigzag); the second differences
+//! of the phase along the runs; the differences of the light, and of the uncertainty where there is one, from pixel
+//! to pixel. The differences are zigzag numbers in blocks of 64: a byte states how many bits each has, then come 64
+//! times as many bits, the first number in the lowest. The last block is filled up with zeros.
 //!
 //! Light and slope change slowly along a row, so that the differences are little more than the noise, which does not
 //! compress further.
@@ -32,7 +32,7 @@ const MAGIC: &[u8; 8] = b"4dphase1";
 const HEAD_BYTES: usize = 16;
 const TAIL_BYTES: usize = 4;
 
-/// No camera has pixels for more, bytes.
+/// The most bytes of a file: no camera has pixels for more.
 const BYTES_MAX: u64 = 1 << 30;
 
 /// Numbers that are packed as one block, all of the same width.
@@ -58,7 +58,7 @@ pub struct Statement {
     pub merged_comments: Vec<String>,
 }
 
-/// Sizes that the body needs to be read.
+/// The statement of a file with the sizes that are needed to read its body.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Header {
@@ -97,7 +97,7 @@ pub fn encode(statement: &Statement, map: &PhaseMap) -> Result<Vec<u8>, String> 
     Ok(out)
 }
 
-/// Reads the bytes of a file; an error says what is wrong with them.
+/// Reads the bytes of a file; an error states what is wrong with them.
 pub fn decode(bytes: &[u8]) -> Result<(Statement, PhaseMap), String> {
     let (header, mut body) = open(bytes)?;
     let room = usize::from(header.frame[0]) * usize::from(header.frame[1]);
@@ -141,7 +141,7 @@ pub fn load_of_frame(path: &Path, frame: [usize; 2]) -> Result<(Statement, Phase
     load_as(path, |bytes| match open(bytes)?.0.frame.map(usize::from) {
         found if found == frame => decode(bytes),
         found => Err(format!(
-            "it is of a frame of {found:?} pixels, the calibration has {frame:?} for the camera that its name says"
+            "it is of a frame of {found:?} pixels, the calibration has {frame:?} for the camera of its name"
         )),
     })
 }
@@ -281,7 +281,7 @@ fn read_phase(header: &Header, body: &mut &[u8], map: &mut PhaseMap) -> Result<(
     Ok(())
 }
 
-/// Small numbers of either sign as small numbers.
+/// Zigzag: numbers of either sign near 0 as small unsigned numbers.
 fn zigzag(x: i32) -> u32 {
     ((x << 1) ^ (x >> 31)) as u32
 }
@@ -339,7 +339,7 @@ fn pack_block(block: &[u32; BLOCK], out: &mut Vec<u8>) {
         if bits >= 64 {
             out.extend_from_slice(&word.to_le_bytes());
             bits -= 64;
-            // What the word had no room for.
+            // The upper bits, which did not fit into the word.
             word = u64::from(x).checked_shr(width - bits).unwrap_or(0);
         }
     }
@@ -355,7 +355,7 @@ fn unpack(body: &mut &[u8], count: usize, mut take: impl FnMut(u32)) -> Result<(
         }
         let (bytes, rest) = rest.split_at(8 * width as usize);
         *body = rest;
-        // One word more: the last number's upper part is looked for there.
+        // One word more than a block has: the upper part of its last number is read from there.
         let mut words = [0u64; 33];
         for (word, bytes) in words.iter_mut().zip(bytes.as_chunks::<8>().0) {
             *word = u64::from_le_bytes(*bytes);

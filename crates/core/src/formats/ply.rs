@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Binary PLY, as the command line's contract has it: `x y z` (float, metres, world), `intensity` (float, 0 to
 //! 1), `nx ny nz` (float, unit, towards the camera), `u v` (ushort, source pixel), and in merged clouds `camera`
-//! (uchar, place in the calibration). Where it was asked for, `sigma` comes last (float, metres: the standard uncertainty
+//! (uchar, place in the calibration). With `--uncertainty`, `sigma` comes last (float, metres: the standard uncertainty
 //! along the line of sight). Little endian. Comments in the header name where the points come from.
 //!
 //! The reader takes exactly this layout and never trusts a length in the file.
@@ -30,17 +30,17 @@ const SIGMA: (&str, &str) = ("float", "sigma");
 /// Bytes of a directional point.
 pub const POINT_BYTES: usize = 7 * 4 + 2 * 2;
 
-/// All cameras of a trigger have fewer points.
+/// The most points of a file: all cameras of a trigger have fewer.
 const POINTS_MAX: usize = 1 << 27;
-/// Points whose memory is taken before they are read.
+/// The most points whose memory is reserved before they are read.
 const ROOM_MAX: usize = 1 << 22;
-/// Longest header that is read: a bound for damaged files.
+/// The longest header that is read, bytes: a bound for damaged files.
 const MAX_HEADER_BYTES: u64 = 64 * 1024;
 
 /// Points read or written at a time: so a false count in a header cannot claim memory.
 const POINTS_AT_ONCE: usize = 4096;
 
-/// What the points have beside the properties of all.
+/// The optional properties that the points of a file have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Layout {
     merged: bool,
@@ -109,7 +109,7 @@ pub fn write(mut out: impl Write, cloud: &Cloud, comments: &[String]) -> io::Res
 pub fn write_merged(mut out: impl Write, parts: &[Part<'_>], comments: &[String]) -> io::Result<()> {
     let full = || parts.iter().filter(|part| part.points() > 0);
     let sigma = full().next().is_some() && full().all(|part| !part.cloud.sigma_m.is_empty());
-    // A merged cloud without points has no camera to tell.
+    // A merged cloud without points has no camera to state.
     let layout = Layout { merged: full().next().is_some(), sigma };
     let points = parts.iter().map(Part::points).sum();
     out.write_all(header(points, layout, comments).as_bytes())?;
@@ -135,8 +135,8 @@ fn header(points: usize, layout: Layout, comments: &[String]) -> String {
     header + "end_header\n"
 }
 
-/// Writes the points that `keep` holds for (by place) by the thousand, through a buffer that stays in the cache. `camera`: that
-/// of all of them, where the cloud itself does not tell.
+/// Writes the points for whose places `keep` is true, some thousand at a time through a buffer that stays in the cache.
+/// `camera`: the number of their camera, where the cloud itself does not have it.
 fn write_points(
     out: &mut impl Write,
     cloud: &Cloud,
@@ -206,7 +206,7 @@ pub fn load_header(path: &Path) -> Result<Header, FileError> {
     read_header(&mut open(path)?.0).map_err(|reason| unfit(path, &reason))
 }
 
-/// Reads the header of a file and makes sure that the file is as long as it says, without reading the points.
+/// Reads the header of a file and makes sure that the file is as long as it states, without reading the points.
 pub fn load_whole_header(path: &Path) -> Result<Header, FileError> {
     let (mut input, found) = open(path)?;
     let header = read_header(&mut input).map_err(|reason| unfit(path, &reason))?;
@@ -224,12 +224,12 @@ pub fn load(path: &Path) -> Result<(Header, Cloud), FileError> {
     read_at_most(input, bytes).map_err(|reason| unfit(path, &reason))
 }
 
-/// Reads a cloud; an error says what was found instead.
+/// Reads a cloud; an error states what was found instead.
 pub fn read(input: impl BufRead) -> Result<(Header, Cloud), String> {
     read_at_most(input, 0)
 }
 
-/// Reads a cloud from data that are known to have so many bytes (0: not known).
+/// Reads a cloud from data that are known to have this number of bytes (0: not known).
 fn read_at_most(mut input: impl BufRead, bytes: u64) -> Result<(Header, Cloud), String> {
     let header = read_header(&mut input)?;
     let layout = header.layout();
@@ -244,7 +244,7 @@ fn read_at_most(mut input: impl BufRead, bytes: u64) -> Result<(Header, Cloud), 
     cloud.sigma_m.reserve_exact(if layout.sigma { room } else { 0 });
     for_each_part(&mut input, &header, |part| {
         for point in part.chunks_exact(layout.stride()) {
-            // A hole of the file: no point has a normal without a length.
+            // Zeros are a hole of a file that was cut: no point has a normal of length 0.
             if point[..POINT_BYTES].iter().all(|byte| *byte == 0) {
                 return Err("a point of zeros alone: the file was not written to its end".to_owned());
             }
@@ -255,7 +255,7 @@ fn read_at_most(mut input: impl BufRead, bytes: u64) -> Result<(Header, Cloud), 
     Ok((header, cloud))
 }
 
-/// Hands on the bytes of all points, some thousand at a time, and makes sure that there are just so many.
+/// Hands on the bytes of all points, some thousand at a time, and makes sure that there are no more and no fewer.
 fn for_each_part(
     input: &mut impl BufRead,
     header: &Header,
@@ -280,8 +280,8 @@ fn for_each_part(
     }
 }
 
-/// The points of a file as they lie in it, each cut to the 28 bytes of its seven floats and the byte of its camera:
-/// what a sequence packs. `take` gets the number of points first, then calls of some thousand points.
+/// The points of a file as bytes, without decoding them: a sequence copies the seven floats and the camera of each.
+/// `take` gets the number of all points, the bytes of some thousand of them, and the bytes of one.
 pub fn stream(
     path: &Path,
     mut take: impl FnMut(usize, &[u8], usize) -> Result<(), String>,

@@ -18,11 +18,11 @@ pub struct Fringes {
 
 /// Fringe periods of which the phase can be found, px.
 const PERIOD_PX: (f64, f64) = (4.0, 40.0);
-/// What filters the marker is as long as one of its periods, px.
+/// Periods of the marker that its filter can have, px: the filter is one period long.
 const MARKER_PERIOD_PX: (f64, f64) = (2.0, 200.0);
 
 impl Fringes {
-    /// As a camera sees them at `middle`, world, m.
+    /// The fringes as a camera sees them at `middle`, world, m.
     ///
     /// # Errors
     /// They are not seen there, or not in a form of which the phase can be found.
@@ -39,7 +39,8 @@ impl Fringes {
         // Where fringes run along the columns their period across them has no meaning.
         if column <= across[1].abs() {
             return Err(format!(
-                "the fringes run along the image columns, expected them across: a step of one image column is {column:.2} \
+                "the fringes run along the image columns, expected them across: a step of one image column \
+                 is {column:.2} \
                  px on the panel across the fringes, one of one row {:.2} px; check roll_deg of camera and projector",
                 along[0].abs()
             ));
@@ -47,7 +48,8 @@ impl Fringes {
         // Else the surface moves along the fringes when it moves away, so that its distance does not show in them.
         let [by_depth, beside] = depth_steps(camera, projector, middle).ok_or(UNSEEN)?;
         if by_depth.abs() <= beside.abs() {
-            let message = "the fringes run along the line from camera to projector, expected them across it: the distance \
+            let message = "the fringes run along the line from camera to projector, expected them across \
+                 it: the distance \
                            of what they light does not move them; check roll_deg and position_m of the two";
             return Err(message.to_owned());
         }

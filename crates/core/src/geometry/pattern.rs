@@ -10,7 +10,7 @@ use crate::base::image::Plane;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
-/// Everything that reconstruction must know of what is projected.
+/// The projected pattern, with all that reconstruction needs of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pattern {

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 #[serde(try_from = "PoseFile", into = "PoseFile")]
 pub struct Pose {
     isometry: Isometry3<f64>,
-    /// The rotation as the file has it, so that what is read and written again is the same to the last digit: results are tied to
-    /// the digest of their calibration.
+    /// The rotation as the file has it, so that what is read and written again is the same to the last digit: results
+    /// are tied to the digest of their calibration.
     rows: [[f64; 3]; 3],
 }
 
@@ -37,7 +37,8 @@ impl Pose {
         let orthonormal = (matrix * matrix.transpose() - Matrix3::identity()).abs().max() < 1e-6;
         if !finite || !orthonormal || matrix.determinant() < 0.0 {
             return Err(format!(
-                "expected a rotation matrix (rows orthonormal, determinant +1) and a finite translation, found {rotation:?}, {translation_m:?}"
+                "expected a rotation matrix (rows orthonormal, determinant +1) and a finite translation, \
+                 found {rotation:?}, {translation_m:?}"
             ));
         }
         let turned = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));

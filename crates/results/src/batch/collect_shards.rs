@@ -3,13 +3,14 @@
 //!
 //! ```text
 //! OUT/clouds, merged, phases      what the shards have written: each file belongs to one of them
-//! OUT/summary-I-of-N.json         what a shard says of its triggers, written when all its files are there
+//! OUT/summary-I-of-N.json         the summary of a shard, written when all its files are there
 //! OUT/summary.json, sequence.mcap what is made of them
 //! ```
 //!
-//! Nothing is taken on trust: a shard counts when its summary was made of this session with these parameters, for just these triggers and
-//! cameras, and every file that it speaks of is there, whole, and made with the same parameters. Of what shards have written,
-//! collecting changes the frames only that show another trigger ([`super::strangers`]), so that it may be done again at any time.
+//! Nothing is taken on trust: a shard counts when its summary was made of this session with these parameters, for
+//! just these triggers and cameras, and every file that it lists is there, whole, and made with the same
+//! parameters. Of what shards have written, collecting changes the frames only that show another trigger
+//! ([`super::strangers`]), so that it may be done again at any time.
 
 use super::files::{cameras_comment, merged_path, stated};
 use super::key::Key;
@@ -29,7 +30,8 @@ pub use super::summary::load_summary;
 /// Shards that cannot be collected that a message names.
 const SHARDS_NAMED: usize = 100;
 
-/// The shards of one run over all triggers.
+/// The shards of one run over all triggers, as `reconstruct --collect` and `cluster submit` compare them with what is
+/// in the directory. They change nothing there; [`collect`] makes one summary of them when all are complete.
 pub struct Shards<'a> {
     /// The run; its own shard does not matter.
     plan: &'a Plan,
@@ -50,13 +52,14 @@ impl<'a> Shards<'a> {
         Ok(Self { plan, calibration, key, count: count.max(1) })
     }
 
-    /// What they are made of.
+    /// What all of them are made of.
     pub fn key(&self) -> &Key {
         &self.key
     }
 
-    /// What a shard says of its triggers. Its files are not looked at. The fault: it has not been run to its end
-    /// ([`Exit::Failure`]), or was made with another calibration, method, algorithm, or of other frames ([`Exit::Usage`]).
+    /// The summary of a shard. Its files are not checked. The fault: it has not been run to its end
+    /// ([`Exit::Failure`]), or was made with another calibration, method, algorithm, or of other frames
+    /// ([`Exit::Usage`]).
     pub fn summary(&self, shard: u64) -> Result<Summary, Fault> {
         let path = summary_path(&self.plan.out, Some((shard, self.count)));
         let fault = |exit, found: String| Fault::new(exit, format!("{}: {found}", path.display()));
@@ -76,7 +79,8 @@ impl<'a> Shards<'a> {
         let parameters = self.key.parameters();
         if summary.parameters != parameters {
             return Err(format!(
-                "made with the parameters {}, expected {parameters}: another calibration, method or algorithm (number {}, expected \
+                "made with the parameters {}, expected {parameters}: another calibration, method or \
+                 algorithm (number {}, expected \
                  {})",
                 summary.parameters, summary.algorithm, self.key.algorithm
             ));
@@ -125,8 +129,8 @@ impl<'a> Shards<'a> {
     }
 }
 
-/// Merges what all shards say, on the current rayon pool: the summary of one run over all triggers. Nothing is written. The
-/// fault names all shards that are not fit.
+/// Merges the summaries of all shards, on the current rayon pool: the summary of one run over all triggers. Nothing
+/// is written. The fault names all shards that are not fit.
 pub fn collect(shards: &Shards<'_>) -> Result<Summary, Fault> {
     let found: Vec<_> = (0..shards.count).into_par_iter().map(|shard| shards.complete(shard)).collect();
     let (mut merged, mut problems, mut time_base) = (Vec::new(), Vec::new(), None);
@@ -165,7 +169,7 @@ pub fn without_files(out: &Path, formats: &[Format], summary: &Summary) -> Vec<u
     lacking.map(|trigger| trigger.trigger).collect()
 }
 
-/// The files that a summary speaks of.
+/// The files that must be there by a summary.
 struct Stated<'a> {
     out: &'a Path,
     format: Format,

@@ -33,7 +33,8 @@ pub(super) fn frame_path(out: &Path, format: Format, camera: &CameraId, trigger:
     }
 }
 
-/// What the whole file of a frame states: its points and comments. `None` where there is no such file, or a damaged one.
+/// What the whole file of a frame states: its points and comments. `None` where there is no such file, or a damaged
+/// one.
 pub(super) fn stated(out: &Path, format: Format, camera: &CameraId, trigger: u64) -> Option<ply::Header> {
     let path = frame_path(out, format, camera, trigger);
     match format {
@@ -47,7 +48,7 @@ pub(super) fn stated(out: &Path, format: Format, camera: &CameraId, trigger: u64
     }
 }
 
-/// When a trigger is where nothing says when it was: by index at this rate, from 0 on, ns.
+/// The time of a trigger where none is known: by index at this rate, from 0 on, ns.
 pub fn time_by_index_ns(trigger: u64, rate_hz: f64) -> u64 {
     (trigger as f64 * 1e9 / rate_hz).round() as u64
 }

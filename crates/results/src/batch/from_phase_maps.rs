@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
-/// What a map states of the calibration that clouds are made with: its hash, and its volume, m.
+/// What a map states of its calibration: the hash of its geometry, and the corners of its volume, m.
 pub type Geometry = (String, [[f64; 3]; 2]);
 
 /// What maps that were made with a calibration state of it.
@@ -33,7 +33,7 @@ pub fn statement_of(calibration: &Calibration) -> Geometry {
     (calibration.geometry_sha256(), [calibration.volume_min_m, calibration.volume_max_m])
 }
 
-/// What became of an export.
+/// The numbers of clouds that an export has written, kept and found missing.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct Exported {
     pub clouds: usize,
@@ -46,11 +46,11 @@ pub struct Exported {
     pub empty: usize,
     /// Maps that are missing, and those left out, a sentence each ([`Expected::amiss`]).
     pub amiss: Vec<String>,
-    /// Whether the sequence's times are made up, because nothing says when the triggers were.
+    /// Whether the sequence's times are made up, because no file states when the triggers were.
     pub made_up_times: bool,
 }
 
-/// What became of a trigger.
+/// A trigger whose clouds are there.
 struct Made {
     trigger: u64,
     time_ns: Option<u64>,
@@ -59,12 +59,12 @@ struct Made {
     kept: bool,
 }
 
-/// One trigger's maps: places of their cameras in the calibration, and files.
+/// The maps of one trigger: for each, the place of its camera in the calibration, and its file.
 type Maps = Vec<(usize, PathBuf)>;
 
 /// Makes the clouds of all phase maps in `from`, on the current rayon pool: directional ones, merged ones, and the
-/// sequence, where triggers without a time of their own are placed by index at `rate_hz`. What is there and states the same as
-/// the maps is kept, but for the sequence. `progress` gets triggers done and their number.
+/// sequence, where triggers without a time of their own are placed by index at `rate_hz`. What is there and states
+/// the same as the maps is kept, but for the sequence. `progress` gets triggers done and their number.
 pub fn export(
     from: &Path,
     calibration: &Calibration,
@@ -104,7 +104,7 @@ pub fn export(
     let with_points = || made.iter().filter(|made| made.points > 0);
     if with_points().next().is_none() {
         return Err(corrupt(format!(
-            "{}: no frame was reconstructed, so that there is nothing to export; `fourdbody reconstruct` told why (summary.json)",
+            "{}: no frame was reconstructed, so that there is nothing to export; summary.json states why",
             from.display()
         )));
     }
@@ -291,7 +291,7 @@ fn list(from: &Path, calibration: &Calibration) -> Result<BTreeMap<u64, Maps>, S
         let number = calibration.cameras().position(|(_, known)| known.id.as_str() == camera);
         let number =
             number.ok_or_else(|| format!("{}: the calibration has no such camera", path.display()))?;
-        // Else a camera may have two of one trigger.
+        // With other names a camera could have two maps of one trigger.
         let name = phase_path(from, camera, trigger);
         if name != path {
             return Err(format!("FOREIGN  {}: expected the name {}", path.display(), name.display()));
@@ -339,7 +339,7 @@ fn read_cloud(
     }
     if camera.id.as_str() != statement.camera {
         return Err(fail(format!(
-            "a map of camera {}, which is not what the file's name says",
+            "a map of camera {}, which the file's name does not state",
             statement.camera
         )));
     }

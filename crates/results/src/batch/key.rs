@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a result is made of: `OUT/reconstruct.json`, written before the first cloud. A directory takes the clouds of one
-//! session, made in one way; everything else is refused with what differs, so that no result is ever of two.
+//! What a result is made of: `OUT/reconstruct.json`, written before the first cloud. A directory takes the clouds of
+//! one session, made in one way; everything else is refused with what differs, so that no result is ever of two.
 //!
-//! The files say by themselves what else they depend on: the frames of their trigger ([`super::run`]).
+//! The files state themselves what else they depend on: the frames of their trigger ([`super::run`]).
 
 use super::plan::{Format, Plan, method_name};
 use crate::base::ids::CameraId;
@@ -16,11 +16,14 @@ use std::fmt::Display;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// The algorithm's number: raised whenever the same frames may give other points, or a file other bytes than its comments.
-/// `it::reused` holds the digest of a small scene's clouds beside it, and fails when one changes without the other.
+/// The algorithm's number: raised whenever the same frames may give other points, or a file other bytes than its
+/// comments. `it::reused` holds the digest of a small scene's clouds beside it, and fails when one changes without
+/// the other.
 pub const ALGORITHM: u32 = 33;
 
-/// Everything that the clouds of a directory share.
+/// Everything that the clouds of a directory share. A run makes the key of its plan, claims the directory with it
+/// before the first cloud, and refuses a directory that has another one; the key stays there as `reconstruct.json` as
+/// long as the results, and readers hold every file against it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Key {
@@ -119,13 +122,13 @@ impl Key {
                 Err(occupied(format!("has results of something else:\n  {differences}")))
             }
             None if has_results(out) => {
-                Err(occupied(format!("has results, but no {KEY_FILE} that says which session they are of")))
+                Err(occupied(format!("has results, but no {KEY_FILE} that states which session they are of")))
             }
             None => Ok(()),
         }
     }
 
-    /// Takes a directory for results of this key, or finds that it has been taken so.
+    /// Marks a directory as one for results of this key, or finds that it is marked so already.
     pub fn claim(&self, out: &Path) -> Result<(), Fault> {
         self.check(out)?;
         let path = out.join(KEY_FILE);
@@ -136,7 +139,7 @@ impl Key {
         let text = serde_json::to_string_pretty(self).map_err(|e| failed(&e))?;
         std::fs::create_dir_all(out).map_err(|e| failed(&e))?;
         let written = write_new(&path, |file| writeln!(file, "{text}")).map_err(|e| failed(&e))?;
-        // Another process was faster.
+        // Another process has written its key in between.
         if written { Ok(()) } else { self.check(out) }
     }
 
@@ -156,7 +159,7 @@ impl Key {
             Ok(_) => Err(Fault::new(
                 Exit::Usage,
                 format!(
-                    "{}: expected the calibration that is asked for, found another one. Choose another --out, or move it away",
+                    "{}: expected the requested calibration, found another one. Choose another --out, or move it away",
                     path.display()
                 ),
             )),
@@ -167,8 +170,8 @@ impl Key {
         }
     }
 
-    /// What is there, and what was asked for.
-    fn differences(&self, asked: &Self) -> Vec<String> {
+    /// What is there, and what was requested.
+    fn differences(&self, requested: &Self) -> Vec<String> {
         let cameras = |key: &Self| key.cameras.iter().map(CameraId::as_str).collect::<Vec<_>>().join(",");
         let shown = |key: &Self| {
             [
@@ -183,9 +186,10 @@ impl Key {
                 ("cameras", cameras(key)),
             ]
         };
-        let both = shown(self).into_iter().zip(shown(asked)).filter(|(there, asked)| there != asked);
+        let both =
+            shown(self).into_iter().zip(shown(requested)).filter(|(there, requested)| there != requested);
         let named: Vec<String> = both
-            .map(|((what, there), (_, asked))| format!("{what}: there {there}, asked for {asked}"))
+            .map(|((what, there), (_, requested))| format!("{what}: there {there}, requested {requested}"))
             .collect();
         if named.is_empty() { vec!["its description differs".to_owned()] } else { named }
     }
@@ -246,12 +250,12 @@ mod tests {
         refused(&|key| key.session.nodes.push("b".to_owned()), &["session: there", "a,b"]);
         refused(&|key| key.algorithm += 1, &["algorithm: there"]);
         refused(&|key| key.calibration_sha256 = "d".repeat(64), &["calibration: there cccc", "dddd"]);
-        refused(&|key| key.method = "paper".to_owned(), &["method: there joint, asked for paper"]);
-        refused(&|key| key.margin = 2.0, &["margin: there 1, asked for 2"]);
-        refused(&|key| key.bin_rows = 2, &["bin-rows: there 1, asked for 2"]);
+        refused(&|key| key.method = "paper".to_owned(), &["method: there joint, requested paper"]);
+        refused(&|key| key.margin = 2.0, &["margin: there 1, requested 2"]);
+        refused(&|key| key.bin_rows = 2, &["bin-rows: there 1, requested 2"]);
         refused(&|key| key.uncertainty = true, &["uncertainty: there false"]);
         refused(&|key| key.format = "phase".to_owned(), &["format: there ply"]);
-        refused(&|key| key.cameras.truncate(1), &["cameras: there h0_up,h0_low, asked for h0_up"]);
+        refused(&|key| key.cameras.truncate(1), &["cameras: there h0_up,h0_low, requested h0_up"]);
         assert_eq!(Key::load(dir.path()), Ok(Some(key())));
     }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session reconstructed to a directory: which frames, on which threads, what is written, and how it is resumed.
 //!
-//! [`run`] is the work; [`key`] says what a result depends on, so that only the same work is continued.
+//! [`run`] is the work; [`key`] states what a result depends on, so that only the same work is continued.
 
 /// Whether the files of a result are of that result.
 pub mod belonging;

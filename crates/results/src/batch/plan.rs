@@ -68,7 +68,7 @@ pub struct Plan {
 }
 
 impl Default for Plan {
-    /// What the command line does unless it is told otherwise, of no frames.
+    /// What the command line does without options, of no frames.
     fn default() -> Self {
         Self {
             out: PathBuf::new(),
@@ -93,7 +93,7 @@ impl Plan {
         self.triggers.clone().filter(|t| t % self.shard.1.max(1) == self.shard.0)
     }
 
-    /// Whether the clouds of a trigger are put together: else nobody needs them once they are made.
+    /// Whether the clouds of a trigger are put together: else they are dropped once they are made.
     pub fn merges(&self) -> bool {
         self.formats.contains(&Format::Ply) && !self.discard
     }

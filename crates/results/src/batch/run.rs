@@ -4,18 +4,18 @@
 //! ```text
 //! OUT/phases/CAMERA_INDEX.phase   one phase map, of which the clouds are made when they are read ([`super::result`])
 //! OUT/calibration.json            the calibration that goes with them
-//! OUT/summary.json                what became of every frame
+//! OUT/summary.json                the outcome of every frame
 //! OUT/reconstruct.json            of which session all this is, and how it is made ([`super::key`])
 //!
-//! where clouds are asked for:
+//! with --format ply:
 //! OUT/clouds/CAMERA_INDEX.ply     one directional cloud (without points where the frame was refused)
 //! OUT/merged/INDEX.ply            all cameras of one trigger, less what another head sees better (`merge`)
 //! OUT/sequence.mcap               the merged clouds, for viewers
 //! ```
 //!
-//! Every file states the parameters that it was made with, as a hash over algorithm, calibration and method, its session, trigger and
-//! time, and the frames of its trigger, by the checksums of their pixels; a finished one that states the same is not made again. Where a trigger has
-//! no point at all there is no merged cloud.
+//! Every file states the parameters that it was made with, as a hash over algorithm, calibration and method, its
+//! session, trigger and time, and the frames of its trigger, by the checksums of their pixels; a finished one that
+//! states the same is not made again. Where a trigger has no point at all there is no merged cloud.
 
 mod finished;
 mod written;
@@ -54,14 +54,14 @@ struct Job<'a> {
     session: String,
     /// What stored phase maps state of the calibration.
     calibration_statement: (String, [[f64; 3]; 2]),
-    /// The cameras asked for, by head.
+    /// The cameras of the plan, by head.
     heads: Vec<Vec<Camera>>,
     timings: Mutex<Timings>,
 }
 
 struct Camera {
     id: CameraId,
-    /// Its number in merged clouds.
+    /// Its number in merged clouds, which is its place in the calibration.
     number: u8,
     /// Where it and its head's projector are, as its clouds state it.
     viewpoint: Viewpoint,
@@ -71,8 +71,8 @@ struct Camera {
 /// The CRC-32 of a frame's pixels; `None` where there is no frame, an error where it is damaged.
 type Pixels = Result<Option<u32>, ()>;
 
-/// Writes the merged clouds of a finished run as one MCAP file, in order; none where there is no point. Triggers without a time of
-/// their own are placed by index at `rate_hz`.
+/// Writes the merged clouds of a finished run as one MCAP file, in order; none where there is no point. Triggers
+/// without a time of their own are placed by index at `rate_hz`.
 pub fn write_sequence(plan: &Plan, summary: &Summary, rate_hz: f64) -> Result<(), String> {
     let with_points = summary.triggers.iter().filter(|trigger| trigger.merged_points > Some(0));
     let clouds = with_points.map(|&TriggerSummary { trigger, time_ns, .. }| {
@@ -81,12 +81,12 @@ pub fn write_sequence(plan: &Plan, summary: &Summary, rate_hz: f64) -> Result<()
     from_phase_maps::write_sequence(clouds, &plan.out.join("sequence.mcap"))
 }
 
-/// The cameras that are asked for, those of a head together, each with its tables: they take longer than a frame.
+/// The cameras of the plan, those of a head together, each with its tables: these take longer than a frame.
 fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Camera>>, String> {
-    let asked = (0_usize..).zip(calibration.cameras()).filter(|(_, (_, c))| plan.cameras.contains(&c.id));
-    let asked: Vec<_> = asked.collect();
+    let chosen = (0_usize..).zip(calibration.cameras()).filter(|(_, (_, c))| plan.cameras.contains(&c.id));
+    let chosen: Vec<_> = chosen.collect();
     let workspace = Arc::new(Workspace::default());
-    let made = asked.par_iter().map(|(number, (head, camera))| {
+    let made = chosen.par_iter().map(|(number, (head, camera))| {
         let number = u8::try_from(*number).map_err(|_| "more than 255 cameras".to_owned())?;
         let pair = CameraProjector::new(head, camera, calibration)?;
         let triangulator = Triangulator::new(pair);
@@ -107,7 +107,7 @@ fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Cam
     Ok(heads)
 }
 
-/// Runs the plan on the current rayon pool. `progress` is told the number of triggers done.
+/// Runs the plan on the current rayon pool. `progress` gets the number of triggers done.
 pub fn run(
     source: &dyn FrameSource,
     calibration: &Calibration,
@@ -150,8 +150,8 @@ pub fn run(
     Ok((summary, timings))
 }
 
-/// The comment that tells the frames that a trigger's clouds depend on, by the CRC-32 of their pixels: `gap` where there is none, and
-/// `damaged` where that is not known.
+/// The comment that names the frames that a trigger's clouds depend on, by the CRC-32 of their pixels: `gap` where
+/// there is none, and `damaged` where that is not known.
 fn frames_comment<'a>(frames: impl Iterator<Item = (&'a CameraId, Pixels)>) -> String {
     let stated = frames.map(|(camera, crc)| match crc {
         Ok(Some(crc)) => format!("{camera}={crc:08x}"),
@@ -161,7 +161,7 @@ fn frames_comment<'a>(frames: impl Iterator<Item = (&'a CameraId, Pixels)>) -> S
     format!("frames {}", stated.collect::<Vec<_>>().join(" "))
 }
 
-/// Takes away what is not true any more.
+/// Removes a file that an earlier run has written and that is not valid any more, if it is there.
 fn remove(path: &Path) -> Result<(), String> {
     match std::fs::remove_file(path) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
@@ -214,7 +214,7 @@ impl Job<'_> {
             .map_err(|e| format!("{}: {e}", path.display()))
     }
 
-    /// Runs a part of what makes a frame a cloud, and keeps its time.
+    /// Runs a part of the reconstruction of a frame, and adds its time to the timings.
     fn timed<T>(&self, work: impl FnOnce() -> T) -> T {
         let began = Instant::now();
         let result = work();
@@ -223,8 +223,8 @@ impl Job<'_> {
         result
     }
 
-    /// The directional clouds of all cameras together, since each frame may give fringe orders to the others; and the comment
-    /// that tells these frames.
+    /// The directional clouds of all cameras together, since each frame may give fringe orders to the others; and the
+    /// comment that names these frames.
     fn clouds(&self, trigger: u64) -> Result<(Vec<(FrameSummary, Cloud)>, String), String> {
         let cameras: Vec<(usize, &Camera)> =
             self.heads.iter().enumerate().flat_map(|(i, head)| head.iter().map(move |x| (i, x))).collect();
@@ -261,7 +261,7 @@ impl Job<'_> {
         Ok((made?, frames))
     }
 
-    /// The comment that tells the frames of a trigger as the source has them now.
+    /// The comment that names the frames of a trigger as the source has them now.
     fn frames(&self, trigger: u64) -> String {
         let cameras: Vec<&CameraId> = self.cameras().collect();
         let pixels = cameras.par_iter().with_max_len(1).map(|camera| {
@@ -303,7 +303,7 @@ impl Job<'_> {
         (stage, Ok(frame.pixels_crc()))
     }
 
-    /// A trigger of which everything is there, which only headers are read for.
+    /// The outcome of a trigger whose files are all there; only their headers are read.
     fn finished_trigger(&self, trigger: u64) -> Option<TriggerSummary> {
         let (frames, stated) = self.finished_frames(trigger)?;
         if !self.plan.formats.contains(&Format::Ply) {
@@ -320,8 +320,8 @@ impl Job<'_> {
         Some(self.summary_of(trigger, Some(header.points), frames))
     }
 
-    /// The finished clouds of a trigger, and the comment that tells its frames. Of phase maps merged clouds are made when they
-    /// are exported: there they are empty.
+    /// The finished clouds of a trigger, and the comment that names its frames. Of phase maps merged clouds are made
+    /// when they are exported: there they are empty.
     fn finished(&self, trigger: u64) -> Option<(Vec<(FrameSummary, Cloud)>, String)> {
         let (frames, stated) = self.finished_frames(trigger)?;
         let load = |(camera, summary): (&Camera, FrameSummary)| {

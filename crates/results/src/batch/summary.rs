@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What became of every frame of a run: `OUT/summary.json`.
+//! The outcome of every frame of a run: `OUT/summary.json`.
 
 use super::files::summary_path;
 use super::key::Key;
@@ -24,7 +24,7 @@ pub fn load_summary(out: &Path) -> Result<Summary, String> {
     json::from_slice(&text).map_err(|e| format!("{}: {e}; another version wrote it", path.display()))
 }
 
-/// What became of one frame.
+/// The outcome of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameSummary {
@@ -39,7 +39,8 @@ pub struct FrameSummary {
     /// Object pixels left out because their fringe order is not certain.
     pub unresolved_px: usize,
     /// How far the marker's dashes lie from where the calibration has them, px of the panel
-    /// ([`crate::reconstruct::marker::epipolar_check::Dashes::offset_px`]): a fraction of one, unless a device has moved.
+    /// ([`crate::reconstruct::marker::epipolar_check::Dashes::offset_px`]): a fraction of one, unless a device has
+    /// moved.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub marker_offset_px: Option<f32>,
 }
@@ -52,7 +53,7 @@ impl FrameSummary {
     }
 }
 
-/// What became of one trigger.
+/// The outcome of one trigger.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TriggerSummary {
@@ -67,7 +68,8 @@ pub struct TriggerSummary {
     pub frames: Vec<FrameSummary>,
 }
 
-/// What became of a run.
+/// The outcome of a run. [`super::run::run`] makes it, later steps add what they find, and `summary.json` keeps it as
+/// long as the results: every frame of the run has exactly one outcome in it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Summary {
@@ -79,16 +81,19 @@ pub struct Summary {
     pub parameters: String,
     /// `joint` or `paper`, as the command line calls it.
     pub method: Cow<'static, str>,
-    /// Cameras of the session or of the calibration that were left out, as was asked for; absent where there are none.
+    /// Cameras of the session or of the calibration that were left out, as the options request; absent where there
+    /// are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<CameraId>,
     /// Parts of the session that cannot be read, a sentence each; absent where there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unreadable: Vec<String>,
-    /// What fringe orders were not checked against, though they could be, a sentence each; absent where there is nothing.
+    /// What fringe orders were not checked against, though they could be, a sentence each; absent where there is
+    /// nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unchecked: Vec<String>,
-    /// Frames one of which shows another trigger, though nobody knows which, a sentence each; absent where there are none.
+    /// Pairs of frames one of which shows another trigger, without proof which, a sentence each; absent where there
+    /// are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub suspects: Vec<String>,
     /// What clock the triggers' times are of, in words; absent where there are no times.
@@ -112,7 +117,7 @@ impl Summary {
         json::save(path, self)
     }
 
-    /// What became of all triggers together.
+    /// The outcome of all triggers together.
     pub(crate) fn of(
         triggers: Vec<TriggerSummary>,
         key: &Key,

@@ -6,7 +6,7 @@ use crate::base::{json, regular};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Raised whenever a reader would have to know more.
+/// The version of the format, raised whenever older readers would misread it.
 const VERSION: u32 = 1;
 
 /// Where scripts, logs and `job.json` of a result are.
@@ -77,7 +77,7 @@ impl Job {
         folder(out).join("job.json")
     }
 
-    /// Whether something was ever submitted for this result.
+    /// Whether a job was ever submitted for this result.
     pub fn exists(out: &Path) -> bool {
         Self::path(out).exists()
     }

@@ -11,17 +11,17 @@ use crate::base::{json, regular};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What each further processor of a task adds to the first: `make bench-reconstruct` tells it of the second, as
+/// What each further processor of a task adds to the first: `make bench-reconstruct` measures it for the second, as
 /// `scaling_2_threads` (1.70, of two processors that share their memory). It is taken for the others, too.
 const EFFICIENCY: f64 = 0.7;
 
 /// The limit of time over what is expected: nodes differ, and a shared disk has busy hours.
 const TIME_MARGIN: f64 = 2.0;
 
-/// For the node's own preparations and reading the session's index, minutes.
+/// Minutes that a task may take to start: preparations of the machine, and reading the session's index.
 const START_MIN: f64 = 10.0;
 
-/// The memory asked for over what was measured on a few frame sets: it grows for a while with what a task has seen
+/// The memory requested over what was measured on a few frame sets: it grows for a while with what a task has seen
 /// (docs/guide/cluster.md), and a person near the camera covers more pixels.
 const MEMORY_MARGIN: f64 = 2.0;
 const MEMORY_SPARE_MIB: f64 = 256.0;
@@ -47,7 +47,7 @@ struct Timings {
 }
 
 impl Measured {
-    /// Reads what `reconstruct --timings` wrote of a run with so many cameras.
+    /// Reads what `reconstruct --timings` wrote of a run with this number of cameras.
     pub fn load(path: &Path, cameras: usize) -> Result<Self, String> {
         let fail = |e: &dyn std::fmt::Display| {
             format!("{}: {e}; expected what `fourdbody reconstruct --timings` writes", path.display())
@@ -65,15 +65,15 @@ impl Measured {
     }
 }
 
-/// What the user asks for.
+/// The size that the user requests.
 #[derive(Debug, Clone, Copy)]
 pub struct Wish {
     /// The number of tasks, where the user gave one.
     pub tasks: Option<u64>,
-    /// Tasks of about so many hours, where their number is not given.
+    /// The hours that a task is to take, where the number of tasks is not given.
     pub hours: f64,
     pub cpus: u64,
-    /// Tasks that the cluster takes in one array.
+    /// The most tasks that the cluster accepts in one array.
     pub most_tasks: u64,
 }
 
@@ -95,7 +95,7 @@ pub struct Sizing {
     pub cpu_s_per_frame_set: f64,
 }
 
-/// Sizes the tasks for so many frame sets.
+/// Sizes the tasks for this number of frame sets.
 pub fn size(frame_sets: u64, measured: Measured, wish: Wish) -> Result<Sizing, String> {
     let cpus = wish.cpus.max(1);
     let speed = 1.0 + EFFICIENCY * (cpus - 1) as f64;
@@ -109,7 +109,8 @@ pub fn size(frame_sets: u64, measured: Measured, wish: Wish) -> Result<Sizing, S
     };
     if tasks > wish.most_tasks {
         return Err(format!(
-            "{tasks} tasks: the cluster takes at most {} in one array (MaxArraySize); give fewer --tasks, more --hours or \
+            "{tasks} tasks: the cluster takes at most {} in one array (MaxArraySize); give fewer --tasks, \
+             more --hours or \
              more --cpus",
             wish.most_tasks
         ));
@@ -168,7 +169,7 @@ mod tests {
             let sizing = size(frame_sets, MEASURED, wish).expect("fits");
             prop_assert!(sizing.tasks * sizing.frame_sets_per_task >= frame_sets && sizing.tasks <= frame_sets);
             prop_assert!(sizing.limit_min as f64 > sizing.expected_min);
-            // As long as was asked for, but for the frame set that cannot be cut.
+            // As long as was requested, but for the frame set that cannot be cut.
             prop_assert!(sizing.expected_min <= hours * 60.0 + 0.9 / 60.0 + 1e-9);
         }
     }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How far a submitted reconstruction is: Slurm's word for what waits and runs, the results' own for what is done.
+//! How far a submitted reconstruction is: by Slurm what waits and runs, by the results what is done.
 //!
-//! A summary is written when all files of its shard are there, so that it is believed more than any scheduler; and where a
-//! controller has forgotten its jobs and there is no accounting, it is all there is.
+//! A summary is written when all files of its shard are there, so that it counts more than the scheduler.
+//! Where a controller has forgotten its jobs and there is no accounting, it is the only source.
 
 use super::job::Job;
 use super::slurm::{Answer, Task};
@@ -39,7 +39,7 @@ pub struct ShardStatus {
     pub frame_sets: u64,
     /// Of these, those whose files are there.
     pub frame_sets_done: u64,
-    /// What Slurm says of its task.
+    /// Its task, as Slurm reports it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub task: Option<Task>,
 }
@@ -61,17 +61,17 @@ pub struct Status {
     pub shards: Vec<ShardStatus>,
     /// State of the collecting job.
     pub collecting: State,
-    /// What Slurm says of it.
+    /// The collecting job, as Slurm reports it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub collecting_task: Option<Task>,
     /// Sources that did not answer.
     pub notes: Vec<String>,
-    /// What became of all frames, when it is known.
+    /// The summary of the collected result, where it is there.
     #[serde(skip)]
     pub summary: Option<Summary>,
 }
 
-/// The state that Slurm's word and the results come to.
+/// The state that follows from Slurm's word for it and from the results.
 fn judge(word: Option<&str>, done: bool, answered: bool) -> State {
     match word {
         Some("RUNNING" | "COMPLETING" | "SUSPENDED" | "STAGE_OUT" | "SIGNALING" | "STOPPED") => {
@@ -87,7 +87,7 @@ fn judge(word: Option<&str>, done: bool, answered: bool) -> State {
     }
 }
 
-/// Reads how far a job is, of which Slurm says this.
+/// Reads how far a job is; `answer`: what Slurm reports of it.
 pub fn read(job: &Job, answer: Answer) -> Status {
     let Answer { tasks, answered, notes } = answer;
     let word = |task: &Option<Task>| task.as_ref().map(|task| task.state.clone());

@@ -40,7 +40,7 @@ impl Picture {
     }
 
     fn write(self, out: impl Write + Seek, image: Mono8<'_>) -> io::Result<()> {
-        // Dropped with bytes in it, it would not tell that they could not be written.
+        // A buffer that is dropped with bytes in it reports no error of writing them.
         let mut out = BufWriter::new(out);
         match self {
             Self::Png => encode_png_grey(&mut out, image)?,
@@ -63,7 +63,7 @@ impl Picture {
 pub struct FramePlan {
     /// The directory that the pictures go to.
     pub out: PathBuf,
-    /// Which session this is, in words that tell it from others.
+    /// The session that the frames are of, in words that no other session has.
     pub origin: String,
     pub formats: Vec<Picture>,
     pub triggers: Range<u64>,
@@ -78,7 +78,7 @@ pub struct FrameSummary {
     pub written: usize,
     /// Pictures that were finished before this run.
     pub skipped: usize,
-    /// Frames that are missing, as the session says.
+    /// Frames that are missing, each with a gap record.
     pub gaps: usize,
     /// Frames that could not be read, with the reason: at most [`MAX_PROBLEMS`] of them.
     pub problems: Vec<String>,
@@ -86,11 +86,11 @@ pub struct FrameSummary {
     pub more_problems: usize,
 }
 
-/// What cannot be read is listed up to so many frames: a recording that claims millions costs no more than it is long.
+/// Unreadable frames that are listed at most: a damaged recording may claim millions of them.
 pub const MAX_PROBLEMS: usize = 1000;
 
-/// Writes the pictures that are not there yet, on the current rayon pool. `progress` is told frames done and their number. An
-/// error is one of writing.
+/// Writes the pictures that are not there yet, on the current rayon pool. `progress` gets the number of frames done
+/// and of all. An error is one of writing.
 pub fn run(
     source: &dyn FrameSource,
     plan: &FramePlan,
@@ -171,7 +171,7 @@ mod tests {
     use crate::base::image::Mono8;
     use std::io::{self, Cursor, Seek, SeekFrom, Write};
 
-    /// A medium with room for so many bytes.
+    /// A medium with room for a number of bytes.
     struct Medium {
         file: Cursor<Vec<u8>>,
         room: usize,

@@ -9,8 +9,9 @@
 //! OUT/export.json                  what each of these folders was made of, and how
 //! ```
 //!
-//! A file that is there and not older than the clouds that it is made of is not made again. So that this is right,
-//! a folder takes files of one origin and one kind only: another one is refused. Of a cloud without points nothing is written.
+//! A file that is there and not older than the clouds that it is made of is not made again. So that this is right, a
+//! folder takes files of one origin and one kind only: another one is refused. Of a cloud without points nothing is
+//! written.
 
 use super::mesh::{self, Mesh, MeshKind};
 use crate::base::{Exit, Fault, json, regular};
@@ -33,7 +34,7 @@ const COMMON: [&str; 7] =
 pub struct Plan {
     /// The directory that the files go to.
     pub out: PathBuf,
-    /// Where the clouds come from, in words that tell one origin from another.
+    /// Where the clouds come from, in words that no other origin has.
     pub origin: String,
     pub formats: Vec<Format>,
     /// Whether a file a trigger is written.
@@ -72,8 +73,8 @@ struct Output {
     format: Format,
 }
 
-/// Writes what the plan asks for, on the current rayon pool. `progress` is told triggers done and their number. An error
-/// is one of writing, or of a folder that holds other things; damaged clouds are in the summary.
+/// Writes what the plan asks for, on the current rayon pool. `progress` gets the number of triggers done and of all.
+/// An error is one of writing, or of a folder that holds other things; damaged clouds are in the summary.
 pub fn run(
     source: &dyn CloudSource,
     plan: &Plan,
@@ -255,7 +256,8 @@ fn merged_comments(clouds: &[Commented], cameras: &[(u8, String)]) -> Vec<String
     comments
 }
 
-/// What a merged cloud that these clouds were picked out of says that it lacks, if all of its cameras are there.
+/// How many points the merged cloud lacks that these clouds were picked out of, as its file states, if all of its
+/// cameras are there.
 fn stated_removed(clouds: &[Commented], merged: &[String]) -> Option<usize> {
     let (stated, removed) = merge::split_removed(&clouds.first()?.0)?;
     (stated.last() == merged.last()).then_some(removed)
@@ -287,7 +289,7 @@ fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), Fault> {
     claim(&plan.out, wanted)
 }
 
-/// Writes statements to OUT/export.json; an error where one of them is there and says something else.
+/// Writes statements to OUT/export.json; an error where one of them is there and differs.
 pub fn claim(out: &Path, wanted: Map<String, Value>) -> Result<(), Fault> {
     let path = out.join("export.json");
     let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
@@ -300,7 +302,8 @@ pub fn claim(out: &Path, wanted: Map<String, Value>) -> Result<(), Fault> {
         match stated.get(&key) {
             Some(there) if *there != value => {
                 let message = format!(
-                    "{}: its {key} were made of {there}, wanted is {value}; give another directory with --out, or delete \
+                    "{}: its {key} were made of {there}, wanted is {value}; give another directory with \
+                     --out, or delete \
                      them and their entry in {}",
                     out.display(),
                     path.display()

@@ -13,10 +13,10 @@ use std::path::Path;
 /// A message that is ready to be written: the camera whose topic it belongs to, its points, and its bytes.
 type Ready = (Option<String>, usize, Vec<u8>);
 
-/// Writes the clouds of a plan as a sequence, which is never half there; messages are made on the current rayon pool. `time_ns`
-/// gives the time of a trigger; times must not go back from trigger to trigger. Clouds without points are left out; without any
-/// points there is no file. `progress` gets the number of triggers done and of all. An error is one of writing; damaged clouds
-/// are in the summary.
+/// Writes the clouds of a plan as a sequence, which is never half there; messages are made on the current rayon pool.
+/// `time_ns` gives the time of a trigger; times must not go back from trigger to trigger. Clouds without points are
+/// left out; without any points there is no file. `progress` gets the number of triggers done and of all. An error is
+/// one of writing; damaged clouds are in the summary.
 pub fn collect(
     source: &dyn CloudSource,
     plan: &Plan,

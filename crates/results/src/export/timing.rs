@@ -15,7 +15,8 @@
 //! | `ptp_scale` | what that clock counts: `TAI` (PTP's own scale), `UTC`, or `own` for neither |
 //! | `time_code` | of the trigger, `HH:MM:SS:FF.fff`; with drop frame `HH:MM:SS;FF.fff` |
 //!
-//! TAI and UTC are nanoseconds since 1970-01-01 00:00:00 of the scale; UTC without leap seconds. What is not known is empty.
+//! TAI and UTC are nanoseconds since 1970-01-01 00:00:00 of the scale; UTC without leap seconds. What is not known is
+//! empty.
 
 use super::ptp::{PtpInstant, PtpTime};
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -45,7 +46,7 @@ pub fn write(
     ptp: &PtpTime,
 ) -> io::Result<Rows> {
     let mut rows = Rows::default();
-    // All nodes heard the same HSU, and what one of them missed another may have.
+    // All nodes have the reports of the same HSU, and one may have a trigger that another lacks.
     let recordings = session.recordings();
     let lines: Vec<TimeCodeLine> = recordings.iter().map(|one| TimeCodeLine::of(&one.events)).collect();
     writeln!(out, "{HEADER}")?;

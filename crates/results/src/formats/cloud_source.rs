@@ -21,11 +21,11 @@ pub trait CloudSource: Sync {
     /// The triggers that there are, with the places in [`Self::cameras`] of the cameras that have a cloud.
     fn triggers(&self) -> &BTreeMap<u64, Vec<usize>>;
 
-    /// The clouds of these cameras (places in [`Self::cameras`]) at a trigger. An error says which file is damaged, or
-    /// missing.
+    /// The clouds of these cameras (places in [`Self::cameras`]) at a trigger. An error states which file is damaged,
+    /// or missing.
     fn clouds(&self, trigger: u64, cameras: &[usize]) -> Result<Vec<Commented>, String>;
 
-    /// When the latest of these clouds was made, as its file says.
+    /// When the latest of these files was written.
     fn modified(&self, trigger: u64, cameras: &[usize]) -> Option<SystemTime>;
 
     /// When the trigger was, ns, where that is known.
@@ -34,7 +34,8 @@ pub trait CloudSource: Sync {
     }
 }
 
-/// Has the views of directional clouds for [`merge`], and what their merged cloud lacks; `numbers` in merged clouds.
+/// Calls `then` with the views of directional clouds for [`merge`] and what their merged cloud lacks; `numbers`:
+/// those of their cameras in merged clouds.
 fn with_views<T>(
     clouds: &[Commented],
     numbers: impl Iterator<Item = u8>,
@@ -91,7 +92,7 @@ impl PlyDirectory {
             Some(path) => stated_cameras(&path)?,
             None => Vec::new(),
         };
-        // Without a merged cloud nobody has numbered them.
+        // Without a merged cloud they have no numbers yet.
         for name in names {
             if !cameras.iter().any(|(_, known)| *known == name) {
                 let free =
@@ -116,7 +117,8 @@ impl PlyDirectory {
         };
         if triggers.is_empty() {
             return Err(format!(
-                "{}: expected clouds/CAMERA_INDEX.ply or merged/INDEX.ply as `fourdbody reconstruct` writes them, found none",
+                "{}: expected clouds/CAMERA_INDEX.ply or merged/INDEX.ply as `fourdbody reconstruct` writes \
+                 them, found none",
                 directory.display()
             ));
         }

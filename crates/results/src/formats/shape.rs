@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a file of points or triangles is made of, and its points as a table: the same columns for every format.
+//! Points and triangles with what files state of them, and the points as a table: the same columns for every format.
 
 use crate::data::{Cloud, NO_CAMERA};
 use std::io::{self, Write};
@@ -11,7 +11,7 @@ pub struct Shape<'a> {
     pub cloud: &'a Cloud,
     /// Corners of each triangle, counter-clockwise as seen from outside: places in `cloud`.
     pub triangles: &'a [[u32; 3]],
-    /// Lines that say where it comes from; kept wherever a format has a place for them.
+    /// Lines that state where it comes from; kept wherever a format has a place for them.
     pub comments: &'a [String],
     /// Numbers and names of the cameras.
     pub cameras: &'a [(u8, String)],
@@ -61,7 +61,7 @@ const CAMERA: Column = column(("uchar", "camera"), "camera", "camera", |cloud, i
 const SIGMA: Column =
     column(("float", "sigma"), "sigma_m", "sigma", |cloud, i| Value::Float(cloud.sigma_m[i]));
 
-/// An entry of the table.
+/// An entry of the table of points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Value {
     Float(f32),

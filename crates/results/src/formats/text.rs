@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Formats of text, and PLY with triangles: ASCII PLY, XYZ and OBJ. Numbers are the shortest that read back the same.
 //!
-//! XYZ has no standard: a line a point, columns separated by spaces, `x y z nx ny nz intensity u v camera`, and lines that
-//! begin with `#`. Readers that know three or six columns find the place and the normal.
+//! XYZ has no standard: a line a point, columns separated by spaces, `x y z nx ny nz intensity u v camera`, and lines
+//! that begin with `#`. Readers that know three or six columns find the place and the normal.
 //!
 //! OBJ: `v x y z r g b` with the intensity as a grey (a widespread extension), `vn`, and `p` or `f` elements.
 
@@ -91,7 +91,7 @@ pub(crate) fn write_obj(out: impl Write, shape: &Shape<'_>) -> io::Result<()> {
         writeln!(out, "vn {x} {y} {z}")?;
     }
     if shape.triangles.is_empty() {
-        // Elements of one point each: a reader that joins the points of an element draws none twice.
+        // Elements of one point each: a reader that joins the points of an element then draws no lines.
         (1..=shape.cloud.len()).try_for_each(|i| writeln!(out, "p {i}"))?;
     }
     for triangle in shape.triangles {

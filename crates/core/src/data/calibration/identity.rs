@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whose calibration it is and where it is valid: what `calibration.json` states beside the geometry, and whether it fits
-//! a recording.
+//! Whose calibration it is and where it is valid: what `calibration.json` states beside the geometry, and whether it
+//! fits a recording.
 
 use super::Calibration;
 use crate::base::ids::{CameraId, HeadId};
@@ -26,12 +26,13 @@ pub struct Identity {
     pub conventions: String,
 }
 
-/// What `fourdbody import` states for a camera: no device.
+/// The device that `fourdbody import` states for a camera: none.
 const IMPORTED: &str = "imported images";
 
-/// What the numbers in the file mean.
+/// Units and conventions of the numbers in the file, for readers without this software.
 pub const CONVENTIONS: &str = "lengths in metres, angles in radians, lenses in pixels (integers at pixel centres, \
-    u = column); distortion = [k1, k2, p1, p2, k3] (Brown-Conrady); world_from_device takes device coordinates (x along \
+    u = column); distortion = [k1, k2, p1, p2, k3] (Brown-Conrady); world_from_device takes device \
+    coordinates (x along \
     columns, y along rows, z forward) to the world; names ending in _mm are millimetres, in _px pixels";
 
 /// Where the board was seen: the lenses are known there, and nowhere else.
@@ -149,7 +150,8 @@ impl Calibration {
             return Ok(());
         }
         Err(format!(
-            "the calibration of rig {:?} does not fit the recording:\n  {}\nUse the calibration of this rig and these cameras, or calibrate again",
+            "the calibration of rig {:?} does not fit the recording:\n  {}\nUse the calibration of this rig \
+             and these cameras, or calibrate again",
             self.rig,
             problems.join("\n  ")
         ))

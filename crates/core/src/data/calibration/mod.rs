@@ -42,16 +42,16 @@ pub struct CalibratedHead {
     pub channel: Channel,
     /// The projector as an inverse camera.
     pub projector: Device,
-    /// Which rows of the panel the rows of this geometry are; `None`: not known. Fringes tell nothing of them, and only the
-    /// marker's place along itself needs them ([`crate::reconstruct::marker::epipolar_check`]).
+    /// Which rows of the panel the rows of this geometry are; `None`: not known. Fringes do not depend on them, and
+    /// only the marker's place along itself needs them ([`crate::reconstruct::marker::epipolar_check`]).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows: Option<PanelRows>,
     pub cameras: Vec<CalibratedCamera>,
 }
 
 /// A whole calibration, as `calibration.json` holds it. `fourdbody calibrate` makes it from photographs of the board,
-/// or [`Self::nominal`] from a rig file; every reconstruction reads it, and a copy stays beside the results for as long as
-/// these exist. It is checked as a whole when it is read: what exists of it can be used.
+/// or [`Self::nominal`] from a rig file; every reconstruction reads it, and a copy stays beside the results for as
+/// long as these exist. It is checked as a whole when it is read: what exists of it can be used.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
@@ -94,10 +94,11 @@ pub struct Quality {
     pub loop_error_mm: Option<f64>,
     /// Standard deviations of the estimates.
     pub uncertainties: Vec<DeviceUncertainty>,
-    /// Per head, what its projector makes of panel values; heads with too little light to tell are missing.
+    /// Per head, what its projector makes of panel values; heads with too little light for it are missing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub responses: Vec<(HeadId, Response)>,
-    /// How its world was chosen; `None` in files of earlier versions, whose world is the rig file's pose of the first camera.
+    /// How its world was chosen; `None` in files of earlier versions, whose world is the rig file's pose of the first
+    /// camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub world: Option<World>,
 }
@@ -216,7 +217,7 @@ impl Calibration {
         let object = value.as_object_mut().ok_or("not a JSON object")?;
         let stated = object.remove("sha256").ok_or("no sha256")?;
         let found = sha256(&value);
-        // A version of the future may have other fields: say so before they are missed.
+        // A later version may have other fields: that is reported before missing fields are.
         if let Some(version) = value["version"].as_u64().filter(|version| *version > u64::from(VERSION)) {
             return Err(format!(
                 "version {version}, expected at most {VERSION}: written by a newer fourdbody"
@@ -249,7 +250,7 @@ impl Calibration {
         Ok(serde_json::to_string_pretty(&value)? + "\n")
     }
 
-    /// Values that would make every later step meaningless.
+    /// Refuses values that would make every later step meaningless.
     fn check(&self) -> Result<(), String> {
         let mut ids = std::collections::BTreeSet::new();
         for (head, camera) in self.cameras() {
@@ -259,7 +260,7 @@ impl Calibration {
             for (what, device) in [("camera", &camera.device), ("projector", &head.projector)] {
                 let lens = &device.lens;
                 let numbers = [lens.fx, lens.fy, lens.cx, lens.cy];
-                // More has no rig, and tables of what nobody has would fill the memory.
+                // No rig has more, and tables of a false size would fill the memory.
                 let sized = [device.width, device.height].iter().all(|side| (1..=SIDE_MAX).contains(side));
                 let finite = numbers.iter().chain(&lens.distortion).all(|x| x.is_finite());
                 if !sized {

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PanelRows {
-    /// What the geometry's row has too much: px, px per px, and px m (over the distance).
+    /// What is subtracted from the geometry's row: an offset, px; a share of the row; and px m, over the distance.
     pub excess: [f64; 3],
-    /// RMS of what is left of it on the board, px.
+    /// RMS of the remaining differences on the board, px.
     pub rms_px: f64,
 }
 

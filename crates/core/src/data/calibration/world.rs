@@ -13,7 +13,7 @@ pub struct World {
     pub places_rms_mm: f64,
     /// The same of the angle to the rig file's attitude, degrees.
     pub attitudes_rms_deg: f64,
-    /// Positions of the board that say what is vertical; empty: the fit alone does.
+    /// Positions of the board that define the vertical; empty: the fit alone does.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub vertical_positions: Vec<usize>,
     /// How far they turned the world away from the fit, degrees.

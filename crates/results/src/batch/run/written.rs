@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is written of a frame: its cloud, its phase map, and what both say of where they come from.
+//! What is written of a frame: its cloud, its phase map, and what both state of where they come from.
 
 use super::{Camera, Format, Job, cameras_comment, frame_path};
 use crate::batch::dump_maps;
@@ -24,7 +24,7 @@ impl Job<'_> {
         comments
     }
 
-    /// The comments that tell whose trigger it is, and when it was.
+    /// The comments that state session, trigger and time.
     pub(super) fn identity(&self, trigger: u64) -> impl Iterator<Item = String> {
         let time = self.time_ns(trigger).map(|ns| format!("time_ns {ns}"));
         [format!("session {}", self.session), format!("trigger {trigger}")].into_iter().chain(time)
@@ -37,7 +37,7 @@ impl Job<'_> {
         comments
     }
 
-    /// Writes a cloud, and the maps where they are asked for.
+    /// Writes what the plan has of a frame: cloud, phase map, and pictures of its maps.
     pub(super) fn save(
         &self,
         camera: &Camera,

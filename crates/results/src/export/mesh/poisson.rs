@@ -4,12 +4,12 @@
 //!
 //! Sought is the function f that is 1 inside of the body and 0 outside, smoothed: its gradient is that of the points'
 //! normals, and at the points it is one half. That is the minimum of `|grad f + n dS|^2 + a (f - 1/2)^2 dS`, so that
-//! `-lap f + a dS f = div(n dS) + a/2 dS`, here with f = 0 on the border of a box around the cloud, solved by multigrid.
-//! The surface is where f has its mean over the points. It closes holes, and what no camera saw is only its guess: there
-//! the intensity is 0.
+//! `-lap f + a dS f = div(n dS) + a/2 dS`, here with f = 0 on the border of a box around the cloud, solved by
+//! multigrid. The surface is where f has its mean over the points. It closes holes: where no camera has seen the body,
+//! the surface is interpolated, and its intensity is 0.
 //!
-//! The points are first thinned out to one a cell. A plane of area A crosses `A / h^2 (|nx| + |ny| + |nz|)` cells of side
-//! h, which gives each of them its share of the surface.
+//! The points are first thinned out to one a cell. A plane of area A crosses `A / h^2 (|nx| + |ny| + |nz|)` cells of
+//! side h, which gives each of them its share of the surface.
 
 use super::Mesh;
 use super::tetrahedra::{Crossing, Field, surface};
@@ -49,7 +49,7 @@ struct Sample {
     area: f32,
 }
 
-/// The closed surface through a cloud with normals. An error says what is wrong with the cloud or the cells.
+/// The closed surface through a cloud with normals. An error states what is wrong with the cloud or the cells.
 pub fn watertight(cloud: &Cloud, cell_m: f64) -> Result<Mesh, String> {
     let cell = cell_m as f32;
     if !(cell > 0.0) || cloud.normal.len() != cloud.len() {
@@ -126,14 +126,14 @@ fn thin_out(cloud: &Cloud, cell: f32) -> Result<(Grid, Vec<Sample>), String> {
         .filter_map(|(cell, (sum, count))| {
             let mean = sum.map(|x| (x / f64::from(count)) as f32);
             let length = mean[3].hypot(mean[4]).hypot(mean[5]);
-            // Both sides of something thin say nothing together.
+            // Normals of both sides of a thin part cancel each other.
             let normal = [mean[3] / length, mean[4] / length, mean[5] / length];
             let area = 1.0 / normal.iter().map(|x| x.abs()).sum::<f32>();
             let sample = Sample { place: [mean[0], mean[1], mean[2]], normal, intensity: mean[6], area };
             (length > 0.3).then_some((cell, sample))
         })
         .collect();
-    // The order of a hash map is chance, sums of floats depend on it.
+    // The order of a hash map differs from run to run, and sums of floats depend on it.
     cells.sort_unstable_by_key(|(cell, _)| *cell);
     Ok((grid, cells.into_iter().map(|(_, sample)| sample).collect()))
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Sequences of clouds as MCAP, readable by time and by camera without reading all: every message is a chunk of its own,
-//! which the file's summary lists with its time and topic.
+//! Sequences of clouds as MCAP, readable by time and by camera without reading all: every message is a chunk of its
+//! own, which the file's summary lists with its time and topic.
 //!
 //! | topic | message | of |
 //! |---|---|---|
@@ -101,7 +101,7 @@ impl<W: Write + Seek> SequenceWriter<W> {
             .compression_level(options.zstd_level)
             // The same bytes on every machine.
             .compression_threads(0)
-            // Chunks end where `write` says: behind every message.
+            // `write` ends a chunk behind every message.
             .chunk_size(None)
             .library("fourdbody");
         let writer = writing.create(out)?;
@@ -117,8 +117,8 @@ impl<W: Write + Seek> SequenceWriter<W> {
         written
     }
 
-    /// Appends the merged cloud of a PLY file as it is, without rounding: its points are packed nearly as those of a message
-    /// are.
+    /// Appends the merged cloud of a PLY file as it is, without rounding: its points are packed nearly as those of a
+    /// message are.
     pub fn push_ply(&mut self, time_ns: u64, path: &std::path::Path) -> Result<(), String> {
         let mut message = std::mem::take(&mut self.message);
         start_message(&mut message, time_ns, 0);
@@ -143,8 +143,8 @@ impl<W: Write + Seek> SequenceWriter<W> {
         written
     }
 
-    /// Writes an encoded message at its time, on the topic of its camera; `None`: of merged clouds. A topic is announced when it is
-    /// needed first.
+    /// Writes an encoded message at its time, on the topic of its camera; `None`: of merged clouds. A topic is
+    /// announced when it is needed first.
     pub fn write(
         &mut self,
         time_ns: u64,
