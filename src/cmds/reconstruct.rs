@@ -245,15 +245,13 @@ impl What {
                 "--method paper: it has no uncertainties; leave out --uncertainty, or use the default method";
             return Err(usage(&message));
         }
-        let (source, calibration): (Box<dyn FrameSource>, _) = match self.bin_rows {
-            1 => (source, calibration),
-            rows => (Box::new(BinnedSource::new(source, rows)), calibration.with_binned_rows(rows)),
-        };
+        let source = BinnedSource::around(source, self.bin_rows);
+        let calibration =
+            if self.bin_rows > 1 { calibration.with_binned_rows(self.bin_rows) } else { calibration };
         let plan = Plan {
             out: self.out.clone(),
             triggers,
             cameras,
-            shard: (0, 1),
             method: match self.method {
                 MethodName::Joint => Method::Joint,
                 MethodName::Paper => Method::Paper,
@@ -263,8 +261,7 @@ impl What {
             bin_rows: self.bin_rows,
             formats: self.formats(),
             uncertainty: self.uncertainty,
-            maps: None,
-            discard: false,
+            ..Plan::default()
         };
         Ok(Opened { session, source, calibration, plan })
     }
@@ -469,7 +466,7 @@ fn report(args: &Args, summary: &Summary) {
     );
     if !summary.left_out.is_empty() {
         let names: Vec<&str> = summary.left_out.iter().map(CameraId::as_str).collect();
-        println!("  partial, as asked: without {}", names.join(", "));
+        println!("  partial, as requested: without {}", names.join(", "));
     }
     for part in &summary.unreadable {
         println!("  NOT WHOLE: {part}");

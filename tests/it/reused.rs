@@ -386,7 +386,7 @@ fn a_part_of_the_cameras_is_asked_for_by_name() {
     assert!(!place.path("all").exists());
     let asked = ["--partial"];
     let partial = with("part", &asked);
-    refused(&partial, 0, &["2 clouds", "partial, as asked: without h1_up"]);
+    refused(&partial, 0, &["2 clouds", "partial, as requested: without h1_up"]);
     assert_eq!(json(&place.path("part/summary.json"))["left_out"], Value::from(["h1_up"]));
     let named = with("named", &["--cameras", "h0_up"]);
     refused(&named, 0, &["1 clouds", "without h0_low, h1_up"]);

@@ -6,7 +6,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// How a node can be reached: `[api]` of its file.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ApiConfig {
     /// A Unix socket for local users.
     pub socket: Option<SocketConfig>,
@@ -54,21 +54,6 @@ pub struct PeerConfig {
     pub token_file: Option<PathBuf>,
     /// The certificate of the authority that signed its certificate (PEM).
     pub ca: Option<PathBuf>,
-}
-
-impl Default for ApiConfig {
-    fn default() -> Self {
-        Self {
-            socket: None,
-            listen: None,
-            tls: None,
-            plain_text_on_network: false,
-            hosts: Vec::new(),
-            tokens: None,
-            audit: PathBuf::from("audit.jsonl"),
-            peers: Vec::new(),
-        }
-    }
 }
 
 impl ApiConfig {
@@ -156,17 +141,11 @@ fn check_network(section: &Section<'_>, config: &ApiConfig) {
 }
 
 fn read_hosts(section: &Section<'_>) -> Vec<String> {
-    let mut hosts = Vec::new();
-    for (i, value) in section.list("hosts").iter().enumerate() {
-        let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | ':' | '[' | ']');
-        match value.as_str().filter(|text| !text.is_empty() && text.chars().all(plain)) {
-            Some(text) => hosts.push(text.to_ascii_lowercase()),
-            None => {
-                section.problem(&format!("hosts[{i}]"), format!("expected NAME or NAME:PORT, found {value}"))
-            }
-        }
-    }
-    hosts
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | ':' | '[' | ']');
+    section.each("hosts", "NAME or NAME:PORT", |value| {
+        let text = value.as_str().filter(|text| !text.is_empty() && text.chars().all(is_plain))?;
+        Some(text.to_ascii_lowercase())
+    })
 }
 
 fn read_peers(section: &Section<'_>, base: &Path) -> Vec<PeerConfig> {

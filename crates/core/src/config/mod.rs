@@ -20,7 +20,7 @@ pub use node::{
     WhenFull,
 };
 pub use pixel::{Mosaic, Pixel};
-pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
+pub use rig::{Board, Channel, Head, Rig, RigCamera};
 pub use section::Section;
 pub use trigger::{ACTION_COMMANDS, ActionConfig, TriggerSource};
 pub use words::{AUTO, CameraWords, Edge, FEATURES_OF_WORDS, PacketDelay, word_of};

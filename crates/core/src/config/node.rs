@@ -312,14 +312,9 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
 }
 
 fn read_realtime(section: Section<'_>) -> Realtime {
-    let mut cpus = Vec::new();
-    for (i, value) in section.list("cpus").iter().enumerate() {
-        match value.as_integer().and_then(|cpu| usize::try_from(cpu).ok()).filter(|cpu| *cpu < 1024) {
-            Some(cpu) => cpus.push(cpu),
-            None => section
-                .problem(&format!("cpus[{i}]"), format!("expected a core's number from 0, found {value}")),
-        }
-    }
+    let cpus = section.each("cpus", "a core's number from 0", |value| {
+        usize::try_from(value.as_integer()?).ok().filter(|cpu| *cpu < 1024)
+    });
     let priority = section.integer_or("priority", 0..=99, 0);
     let lock_memory = section.flag_or("lock_memory", true);
     section.finish();

@@ -22,9 +22,6 @@ pub enum Channel {
     B,
 }
 
-/// A device as the drawing of the rig has it, before any calibration.
-pub type NominalDevice = Device;
-
 /// One camera of a head.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RigCamera {
@@ -32,7 +29,7 @@ pub struct RigCamera {
     /// The acquisition PC that it is wired to.
     pub node: NodeId,
     /// Lens and pose by the drawing, before any calibration.
-    pub device: NominalDevice,
+    pub device: Device,
 }
 
 /// One directional measurement head: a projector and its cameras.
@@ -45,7 +42,7 @@ pub struct Head {
     /// Length of the exposure window, ns.
     pub exposure_ns: u64,
     /// Nominal geometry of the projector.
-    pub projector: NominalDevice,
+    pub projector: Device,
     pub cameras: Vec<RigCamera>,
 }
 
@@ -223,19 +220,12 @@ fn read_board(section: Section<'_>) -> Board {
         large_radius_m: section.number("large_radius_m", 0.0005..=0.5),
         large: Vec::new(),
     };
-    for (i, value) in section.list("large").iter().enumerate() {
-        let pair = value.as_array().and_then(|pair| match pair.as_slice() {
-            [a, b] => Some([usize::try_from(a.as_integer()?).ok()?, usize::try_from(b.as_integer()?).ok()?]),
-            _ => None,
-        });
-        match pair.filter(|[column, row]| *column < board.columns && *row < board.rows) {
-            Some(pair) => board.large.push(pair),
-            None => section.problem(
-                &format!("large[{i}]"),
-                format!("expected [column, row] of a circle on the board, found {value}"),
-            ),
-        }
-    }
+    board.large = section.each("large", "[column, row] of a circle on the board", |value| {
+        let [column, row] = value.as_array()?.as_slice() else { return None };
+        let pair = [column, row].map(|x| x.as_integer().and_then(|x| usize::try_from(x).ok()));
+        let pair = [pair[0]?, pair[1]?];
+        (pair[0] < board.columns && pair[1] < board.rows).then_some(pair)
+    });
     if board.large_radius_m * 2.0 > board.pitch_m && section.problem_free() {
         section.problem("large_radius_m", "circles of this radius overlap at this pitch");
     }

@@ -183,6 +183,19 @@ impl<'a> Section<'a> {
         self.read(key, "a list", Some(&[]), &[], |value| value.as_array().map(Vec::as_slice))
     }
 
+    /// What `take` makes of each value of an optional list; the others are problems.
+    pub fn each<T>(&self, key: &'static str, expected: &str, take: impl Fn(&Value) -> Option<T>) -> Vec<T> {
+        let values = self.list(key).iter().enumerate();
+        let taken = values.filter_map(|(i, value)| {
+            let taken = take(value);
+            if taken.is_none() {
+                self.problem(&format!("{key}[{i}]"), format!("expected {expected}, found {value}"));
+            }
+            taken
+        });
+        taken.collect()
+    }
+
     /// An optional value of any kind.
     pub fn value(&self, key: &'static str) -> Option<&'a Value> {
         self.get(key)

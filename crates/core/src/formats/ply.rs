@@ -28,7 +28,7 @@ const CAMERA: (&str, &str) = ("uchar", "camera");
 const SIGMA: (&str, &str) = ("float", "sigma");
 
 /// Bytes of a directional point.
-pub const POINT_BYTES: usize = 7 * 4 + 2 * 2;
+const POINT_BYTES: usize = 7 * 4 + 2 * 2;
 
 /// The most points of a file: all cameras of a trigger have fewer.
 const POINTS_MAX: usize = 1 << 27;
@@ -242,7 +242,14 @@ fn read_at_most(mut input: impl BufRead, bytes: u64) -> Result<(Header, Cloud), 
     cloud.pixel.reserve_exact(room);
     cloud.camera.reserve_exact(if layout.merged { room } else { 0 });
     cloud.sigma_m.reserve_exact(if layout.sigma { room } else { 0 });
-    for_each_part(&mut input, &header, |part| {
+    let mut bytes = vec![0; layout.stride() * POINTS_AT_ONCE];
+    let mut left = header.points;
+    while left > 0 {
+        let count = left.min(POINTS_AT_ONCE);
+        let part = &mut bytes[..count * layout.stride()];
+        input.read_exact(part).map_err(|e| {
+            format!("{} points announced, the data end after {} ({e})", header.points, header.points - left)
+        })?;
         for point in part.chunks_exact(layout.stride()) {
             // Zeros are a hole of a file that was cut: no point has a normal of length 0.
             if point[..POINT_BYTES].iter().all(|byte| *byte == 0) {
@@ -250,48 +257,13 @@ fn read_at_most(mut input: impl BufRead, bytes: u64) -> Result<(Header, Cloud), 
             }
             push(&mut cloud, point, layout);
         }
-        Ok(())
-    })?;
-    Ok((header, cloud))
-}
-
-/// Hands on the bytes of all points, some thousand at a time, and makes sure that there are no more and no fewer.
-fn for_each_part(
-    input: &mut impl BufRead,
-    header: &Header,
-    mut take: impl FnMut(&[u8]) -> Result<(), String>,
-) -> Result<(), String> {
-    let stride = header.layout().stride();
-    let mut bytes = vec![0; stride * POINTS_AT_ONCE];
-    let mut left = header.points;
-    while left > 0 {
-        let count = left.min(POINTS_AT_ONCE);
-        let part = &mut bytes[..count * stride];
-        input.read_exact(part).map_err(|e| {
-            format!("{} points announced, the data end after {} ({e})", header.points, header.points - left)
-        })?;
-        take(part)?;
         left -= count;
     }
     match input.read(&mut [0]) {
-        Ok(0) => Ok(()),
+        Ok(0) => Ok((header, cloud)),
         Ok(_) => Err(format!("there are more data than the {} points announced", header.points)),
         Err(e) => Err(e.to_string()),
     }
-}
-
-/// The points of a file as bytes, without decoding them: a sequence copies the seven floats and the camera of each.
-/// `take` gets the number of all points, the bytes of some thousand of them, and the bytes of one.
-pub fn stream(
-    path: &Path,
-    mut take: impl FnMut(usize, &[u8], usize) -> Result<(), String>,
-) -> Result<(), FileError> {
-    let (mut input, _) = open(path)?;
-    let mut stream = || {
-        let header = read_header(&mut input)?;
-        for_each_part(&mut input, &header, |part| take(header.points, part, header.layout().stride()))
-    };
-    stream().map_err(|reason| unfit(path, &reason))
 }
 
 fn push(cloud: &mut Cloud, point: &[u8], layout: Layout) {

@@ -20,9 +20,9 @@ pub struct BinnedSource {
 }
 
 impl BinnedSource {
-    /// A source in which `rows` rows of `source`, at least 1, make one row.
-    pub fn new(source: Box<dyn FrameSource>, rows: usize) -> Self {
-        Self { source, rows: rows.max(1) }
+    /// A source in which `rows` rows of `source` make one row; with 1 that is the source itself.
+    pub fn around(source: Box<dyn FrameSource>, rows: usize) -> Box<dyn FrameSource> {
+        if rows > 1 { Box::new(Self { source, rows }) } else { source }
     }
 }
 

@@ -269,7 +269,8 @@ pub fn write_sequence(clouds: impl Iterator<Item = (u64, PathBuf)>, path: &Path)
     let packed = write_whole(path, |file| {
         let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(io::Error::other)?;
         for (time, cloud) in clouds {
-            writer.push_ply(time, &cloud).map_err(io::Error::other)?;
+            let (_, cloud) = ply::load(&cloud).map_err(io::Error::other)?;
+            writer.push(time, &cloud).map_err(io::Error::other)?;
         }
         let buffer = writer.finish().map_err(io::Error::other)?;
         buffer.into_inner().map_err(|e| e.into_error()).map(drop)

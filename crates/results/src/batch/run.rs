@@ -37,7 +37,7 @@ use crate::reconstruct::triangulate::triangulator::Triangulator;
 use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 pub use super::files::{cloud_path, merged_path, time_by_index_ns};
@@ -145,7 +145,7 @@ pub fn run(
     let cpu_ms = process_cpu_time().saturating_sub(cpu_began).as_secs_f64() * 1e3;
     let time_base = source.time_base();
     let summary = Summary { time_base, ..Summary::of(triggers?, &key, plan, calibration) };
-    let mut timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut timings = job.timings.into_inner().unwrap_or_else(PoisonError::into_inner);
     (timings.wall_ms, timings.cpu_ms, timings.threads) = (wall_ms, cpu_ms, rayon::current_num_threads());
     Ok((summary, timings))
 }
@@ -191,6 +191,10 @@ impl Job<'_> {
         TriggerSummary { trigger, time_ns: self.time_ns(trigger), merged_points, frames }
     }
 
+    fn timings(&self) -> MutexGuard<'_, Timings> {
+        self.timings.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn time_ns(&self, trigger: u64) -> Option<u64> {
         self.source.trigger_time_ns(TriggerIndex(trigger))
     }
@@ -208,8 +212,7 @@ impl Job<'_> {
         });
         let views: Vec<_> = views.collect();
         let left_out = merge::left_out(&views, merge::Rule::default());
-        self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner).merge_ms +=
-            began.elapsed().as_secs_f64() * 1e3;
+        self.timings().merge_ms += began.elapsed().as_secs_f64() * 1e3;
         merge::save(&path, &views, &left_out, self.merged_comments(trigger, frames))
             .map_err(|e| format!("{}: {e}", path.display()))
     }
@@ -218,8 +221,7 @@ impl Job<'_> {
     fn timed<T>(&self, work: impl FnOnce() -> T) -> T {
         let began = Instant::now();
         let result = work();
-        let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        timings.add_frame_time(began.elapsed());
+        self.timings().add_frame_time(began.elapsed());
         result
     }
 

@@ -134,39 +134,30 @@ impl Job<'_> {
     /// All files of a trigger; `cameras`: those that have a cloud.
     fn trigger(&self, trigger: u64, cameras: &[usize]) -> Result<(), String> {
         let (of_trigger, of_camera) = folders(self.plan);
-        let mut single: Vec<(usize, Vec<Output>)> = Vec::new();
-        for &camera in cameras.iter().filter(|_| self.plan.directional) {
-            let stem = format!("{}_{trigger:06}", self.source.cameras()[camera].1);
-            let outputs = self.outputs(of_camera, &stem, trigger, &[camera]);
-            if !outputs.is_empty() {
-                single.push((camera, outputs));
-            }
-        }
-        let merged = if self.plan.merged {
-            self.outputs(of_trigger, &format!("{trigger:06}"), trigger, cameras)
-        } else {
-            Vec::new()
+        let name = |camera: &usize| &self.source.cameras()[*camera].1;
+        let single = cameras.iter().filter(|_| self.plan.directional).map(|camera| {
+            self.outputs(of_camera, &format!("{}_{trigger:06}", name(camera)), trigger, &[*camera])
+        });
+        let single: Vec<Vec<Output>> = single.collect();
+        let merged = match self.plan.merged {
+            true => self.outputs(of_trigger, &format!("{trigger:06}"), trigger, cameras),
+            false => Vec::new(),
         };
-        let needed: Vec<usize> = if merged.is_empty() {
-            single.iter().map(|(camera, _)| *camera).collect()
-        } else {
-            cameras.to_vec()
-        };
-        if needed.is_empty() {
+        if merged.is_empty() && single.iter().all(Vec::is_empty) {
             return Ok(());
         }
-        let clouds = match self.source.clouds(trigger, &needed) {
+        let clouds = match self.source.clouds(trigger, cameras) {
             Ok(clouds) => clouds,
             Err(problem) => {
                 self.count(|summary| summary.problems.push(problem));
                 return Ok(());
             }
         };
-        let numbered: Vec<(u8, String)> =
-            needed.iter().map(|&camera| self.source.cameras()[camera].clone()).collect();
-        for (i, commented) in clouds.iter().enumerate() {
-            if let Some((_, outputs)) = single.iter().find(|(camera, _)| needed.get(i) == Some(camera)) {
-                self.save_single(outputs, commented, &numbered[i..=i])?;
+        let numbered = cameras.iter().map(|&camera| self.source.cameras()[camera].clone());
+        let numbered: Vec<(u8, String)> = numbered.collect();
+        for ((outputs, commented), camera) in single.iter().zip(&clouds).zip(numbered.chunks(1)) {
+            if !outputs.is_empty() {
+                self.save_single(outputs, commented, camera)?;
             }
         }
         if merged.is_empty() { Ok(()) } else { self.save_merged(trigger, &merged, &clouds, &numbered) }

@@ -75,8 +75,7 @@ impl Job<'_> {
                 saved.map_err(|e| format!("{}: {e}", path.display()))?;
             }
         }
-        let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        timings.add(&result.stages);
+        self.timings().add(&result.stages);
         let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
         let (camera, outcome) = (id.clone(), outcome.into());
         let summary = FrameSummary { camera, outcome, reason, points, unresolved_px, marker_offset_px };

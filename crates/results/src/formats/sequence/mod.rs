@@ -13,7 +13,6 @@
 
 mod schema;
 
-use super::ply;
 use crate::data::{Cloud, NO_CAMERA};
 use mcap::records::MessageHeader;
 use schema::Message;
@@ -117,32 +116,6 @@ impl<W: Write + Seek> SequenceWriter<W> {
         written
     }
 
-    /// Appends the merged cloud of a PLY file as it is, without rounding: its points are packed nearly as those of a
-    /// message are.
-    pub fn push_ply(&mut self, time_ns: u64, path: &std::path::Path) -> Result<(), String> {
-        let mut message = std::mem::take(&mut self.message);
-        start_message(&mut message, time_ns, 0);
-        let mut started = false;
-        ply::stream(path, |points, bytes, stride| {
-            if !std::mem::replace(&mut started, true) {
-                start_message(&mut message, time_ns, points);
-            }
-            let from = message.len();
-            message.resize(from + bytes.len() / stride * STRIDE, 0);
-            for (to, point) in message[from..].chunks_exact_mut(STRIDE).zip(bytes.chunks_exact(stride)) {
-                to[..STRIDE - 1].copy_from_slice(&point[..STRIDE - 1]);
-                // After the source pixel; without a camera there may be other properties.
-                let has_camera = (stride - ply::POINT_BYTES) % 4 == 1;
-                to[STRIDE - 1] = if has_camera { point[ply::POINT_BYTES] } else { NO_CAMERA };
-            }
-            Ok(())
-        })
-        .map_err(|e| e.to_string())?;
-        let written = self.write(time_ns, None, &message).map_err(|e| e.to_string());
-        self.message = message;
-        written
-    }
-
     /// Writes an encoded message at its time, on the topic of its camera; `None`: of merged clouds. A topic is
     /// announced when it is needed first.
     pub fn write(
@@ -216,11 +189,6 @@ mod tests {
         let mut writer = SequenceWriter::new(Cursor::new(Vec::new())).expect("memory");
         writer.push(2_000_000_001, &cloud()).expect("memory");
         let bytes = writer.message.clone();
-        // The same from a file.
-        let file = tempfile::NamedTempFile::new().expect("a temporary file");
-        crate::formats::ply::save(file.path(), &cloud(), &[]).expect("writable");
-        writer.push_ply(2_000_000_001, file.path()).expect("intact");
-        assert_eq!(writer.message, bytes);
         // timestamp {1: 2, 2: 1}, frame_id "world", pose {1: {}, 2: {4: 1.0}}, point_stride 29.
         let head = [10, 4, 8, 2, 16, 1, 18, 5, b'w', b'o', b'r', b'l', b'd', 26, 13, 10, 0, 18, 9, 33];
         assert_eq!(&bytes[..head.len()], head);
