@@ -31,11 +31,11 @@ use std::path::{Path, PathBuf};
 ///
 /// The directory has all that `view`, `export`, `validate` and `report` need, the calibration with it.
 ///
-/// A merged cloud has the points of all cameras of a trigger, but those that one head sees at grazing incidence and
-/// another one sees well within 2 mm; the clouds of the cameras have all of theirs.
+/// A merged cloud has the points of all cameras of a trigger, except those that one head sees at grazing incidence
+/// where another head sees the surface well, within 2 mm. The clouds of single cameras have all points.
 ///
-/// A frame that shows another trigger than the one it is filed under is refused: what moves lies where the other
-/// cameras have it then.
+/// A frame that was taken at another trigger than the one it is stored under is refused: moving parts of the body lie
+/// in it where the other cameras see them at that other trigger.
 ///
 /// Finished frames of the same session, calibration, method and algorithm are kept, so that an interrupted run goes
 /// on where it was; an --out with anything else is refused. All cameras of the session are reconstructed, unless
@@ -80,7 +80,7 @@ pub struct Args {
     json: bool,
 }
 
-/// What is made of which frames: the same for all shards of a session.
+/// The options that all shards of a session share: which frames are reconstructed, and how.
 #[derive(Clone, clap::Args)]
 pub(super) struct What {
     /// A session (directory of recordings, or s3://BUCKET/PREFIX of one), or a directory of CAMERA/INDEX.png images.
@@ -109,23 +109,23 @@ pub(super) struct What {
     /// `paper` is section 4.1 of the paper to the letter.
     #[arg(long, value_enum, default_value = "joint")]
     method: MethodName,
-    /// Refuse points whose fringe order leads any other by less: more is refused, and less is wrong
-    /// (docs/validation.md has the curve).
+    /// Refuse points whose fringe order leads the next one by less than T: a larger T refuses more points and leaves
+    /// fewer wrong ones (docs/validation.md has the curve).
     #[arg(long, value_name = "T", default_value_t = fringe_order::MARGIN, value_parser = parse_margin)]
     margin: f32,
-    /// Make one row of N, for a part of the time: 2 keeps the surface, 3 loses a part of it; with more a turned
-    /// device would not be noticed (docs/design/reconstruction.md, Fewer rows).
+    /// Make one row of N, for a part of the time: 2 keeps the surface, 3 loses a part of it; with more rows the program
+    /// would not notice that a device has turned (docs/design/reconstruction.md, Fewer rows).
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_bin_rows)]
     bin_rows: usize,
     /// What to write, separated by commas: `phase` maps in phases/, which all other commands read; `ply` point clouds
-    /// in clouds/ and merged/, with sequence.mcap, sixty times the bytes. `fourdbody export` makes the very same
-    /// clouds of phase maps.
+    /// in clouds/ and merged/, with sequence.mcap, sixty times the bytes. `fourdbody export` makes the
+    /// same clouds of phase maps.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "phase", value_name = "FORMAT,...")]
     format: Vec<FormatName>,
     /// Give every point its standard uncertainty along the line of sight, `sigma` (float, metres) in PLY files.
     #[arg(long)]
     uncertainty: bool,
-    /// Whether the session has been staged, and lacks what is not read.
+    /// Whether the session is a staged copy, without the frames that this run does not read.
     #[arg(skip)]
     is_part: bool,
 }
@@ -158,7 +158,7 @@ fn open_by(
     Ok(Box::new(open(path)?))
 }
 
-/// Half a rig is never taken for a whole one: the calibration's cameras are those of the session.
+/// Refuses a session and a calibration that do not have the same cameras: half a rig must not pass for a whole one.
 fn same_cameras(calibrated: &[CameraId], session: &SessionIdentity) -> Result<(), String> {
     let list = |ids: &[&CameraId]| ids.iter().map(|id| id.as_str()).collect::<Vec<_>>().join(", ");
     let lacking = |all: &'_ [CameraId], there: &[CameraId]| -> String {
@@ -174,13 +174,13 @@ fn same_cameras(calibrated: &[CameraId], session: &SessionIdentity) -> Result<()
         (a, b) => format!("the session has {a}, which the calibration has not, and the calibration {b}"),
     };
     Err(format!(
-        "{found}; expected the same cameras in both. Give the calibration of the whole rig, or ask for a \
+        "{found}; expected the same cameras in both. Give the calibration of the whole rig, or choose a \
          part of it: --cameras, or \
          --partial for those that both have"
     ))
 }
 
-/// Lets the allocator keep what a frame gives back for the next one. By default blocks of this size go back to the
+/// Lets the allocator keep the memory of a frame for the next one. By default blocks of this size go back to the
 /// system each time, and every page of them is cleared and mapped anew: a quarter of the time.
 pub(super) fn keep_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
@@ -389,7 +389,7 @@ pub(super) fn exit_of(summary: &Summary) -> Exit {
     }
 }
 
-/// That nothing was reconstructed, and why most of it was not.
+/// The message that no frame was reconstructed, with the most frequent reason.
 fn nothing(summary: &Summary) -> String {
     let Summary { frames, refused, gaps, damaged, .. } = summary;
     let most =

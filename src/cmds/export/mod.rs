@@ -23,14 +23,14 @@ use std::path::PathBuf;
 /// they are made of are kept, so that an interrupted run goes on where it was. docs/guide/exporting.md describes what
 /// each format holds and which programs open it.
 ///
-/// Without any choice of clouds, stored phase maps become all that `reconstruct` would have written itself, byte for
-/// byte: clouds/, merged/ and sequence.mcap.
+/// Without --to, --clouds, --mesh, --triggers and --cameras, phase maps become the files that `reconstruct --format
+/// ply` writes, byte for byte: clouds/, merged/ and sequence.mcap.
 ///
-/// Each file of a reconstruction is held against its name, its session and summary.json.
+/// Each file of a reconstruction is checked against its name, its session and summary.json.
 ///
 /// Exit codes: 0 done; 2 wrong usage; 3 done, but some frames are missing in the session, files are missing, or
-/// clouds have no points (nothing is written of these); 4 some clouds or frames are damaged or of something else, and
-/// listed, or there is nothing to export at all; 1 could not write.
+/// clouds have no points (nothing is written of these); 4 some clouds or frames are damaged or belong to something
+/// else, and are listed, or there is nothing to export; 1 could not write.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -57,12 +57,12 @@ pub struct Args {
     /// Only these cameras, separated by commas.
     #[arg(long, value_name = "CAMERA,...", value_delimiter = ',')]
     cameras: Vec<String>,
-    /// Which clouds: a file a trigger (`merged`, less what another head sees better), a file a camera and trigger
-    /// (`directional`), or both [default: merged].
+    /// Which clouds: one file per trigger (`merged`, without points that another head sees better), one file per
+    /// camera and trigger (`directional`), or both [default: merged].
     #[arg(long, value_enum, value_delimiter = ',', value_name = "KIND,...")]
     clouds: Vec<Clouds>,
-    /// Triangles instead of points: `grid` between the neighbouring pixels of each camera, holes stay holes;
-    /// `watertight` one closed surface through the merged cloud. For ply, ply-ascii, glb and obj.
+    /// Triangles instead of points: `grid` joins the neighbouring pixels of each camera and keeps holes; `watertight`
+    /// makes one closed surface through the merged cloud. For ply, ply-ascii, glb and obj.
     #[arg(long, value_enum, value_name = "KIND")]
     mesh: Option<MeshName>,
     /// With --mesh grid: the longest edge, in median spacings of a cloud's points.
@@ -84,7 +84,7 @@ pub struct Args {
     /// Number of threads [default: one per core].
     #[arg(long, value_name = "N")]
     jobs: Option<usize>,
-    /// Triggers per second, for the times in sequence.mcap where nothing states them, as of images.
+    /// Triggers per second, for the times in sequence.mcap where no file states them, as of images.
     #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = super::reconstruct::parse_rate)]
     rate_hz: f64,
     /// Print the summary as JSON.

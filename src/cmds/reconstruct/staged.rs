@@ -30,7 +30,7 @@ fn failed(error: impl std::fmt::Display) -> Failure {
     Failure::new(Exit::Failure, error)
 }
 
-/// The same run finds what it has left; another never does.
+/// A name that the same run finds again, and that no other run has.
 fn name_of(args: &Args) -> String {
     let what = &args.what;
     let options = what.options(what.triggers.as_ref().unwrap_or(&(0..u64::MAX)));
@@ -121,7 +121,7 @@ impl Staged {
         results::fetch(remote, out, &wanted, &named).map_err(failed)
     }
 
-    /// The files that speak of the others.
+    /// Sends the files that list the others: summary and sequence.
     fn send_summary(&self, args: &Args, remote: &Remote, what: &What) -> Result<(), Failure> {
         let sequence = what.out.join("sequence.mcap");
         let summary = summary_path(&what.out, args.shard);

@@ -195,6 +195,7 @@ impl NodeConfig {
     }
 }
 
+/// The only version of node files so far.
 const FORMAT: u64 = 1;
 const MIB: u64 = 1 << 20;
 

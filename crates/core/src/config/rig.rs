@@ -152,6 +152,7 @@ impl Rig {
     }
 }
 
+/// The only version of rig files so far.
 const FORMAT: u64 = 1;
 
 fn read_rig(root: Section<'_>) -> Option<Rig> {

@@ -73,6 +73,7 @@ pub struct WorkerConfig {
     pub attempts: u32,
 }
 
+/// The only version of worker files so far.
 const FORMAT: u64 = 1;
 const MIB: u64 = 1 << 20;
 

@@ -26,10 +26,12 @@ use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
 use std::path::Path;
 
+/// The first bytes of a file of version 1.
 const MAGIC: &[u8; 8] = b"4dphase1";
 
-/// Bytes before the statement, and after the body.
+/// Bytes before the statement: magic and the two lengths.
 const HEAD_BYTES: usize = 16;
+/// Bytes after the body: the checksum.
 const TAIL_BYTES: usize = 4;
 
 /// The most bytes of a file: no camera has pixels for more.

@@ -108,10 +108,7 @@ pub fn export(
             from.display()
         )));
     }
-    let times = with_points().map(|&Made { trigger, time_ns, .. }| {
-        (time_ns.unwrap_or_else(|| time_by_index_ns(trigger, rate_hz)), merged_path(out, trigger))
-    });
-    write_sequence(times, &out.join("sequence.mcap"))?;
+    write_sequence(out, with_points().map(|made| (made.trigger, made.time_ns)), rate_hz)?;
     if out != from && summary_path(from, None).exists() {
         write_summary(from, out, &made)?;
     }
@@ -260,17 +257,24 @@ impl CloudSource for PhaseDirectory {
     }
 }
 
-/// Packs merged clouds with their times, ns, into one MCAP file; without clouds there is none.
-pub fn write_sequence(clouds: impl Iterator<Item = (u64, PathBuf)>, path: &Path) -> Result<(), String> {
-    let mut clouds = clouds.peekable();
-    if clouds.peek().is_none() {
+/// Packs the merged clouds of triggers into OUT/sequence.mcap, each with its time, ns, or by index at `rate_hz` where it has
+/// none; without clouds there is no file.
+pub fn write_sequence(
+    out: &Path,
+    triggers: impl Iterator<Item = (u64, Option<u64>)>,
+    rate_hz: f64,
+) -> Result<(), String> {
+    let path = out.join("sequence.mcap");
+    let mut triggers = triggers.peekable();
+    if triggers.peek().is_none() {
         return Ok(());
     }
-    let packed = write_whole(path, |file| {
+    let packed = write_whole(&path, |file| {
         let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(io::Error::other)?;
-        for (time, cloud) in clouds {
-            let (_, cloud) = ply::load(&cloud).map_err(io::Error::other)?;
-            writer.push(time, &cloud).map_err(io::Error::other)?;
+        for (trigger, time_ns) in triggers {
+            let (_, cloud) = ply::load(&merged_path(out, trigger)).map_err(io::Error::other)?;
+            let time_ns = time_ns.unwrap_or_else(|| time_by_index_ns(trigger, rate_hz));
+            writer.push(time_ns, &cloud).map_err(io::Error::other)?;
         }
         let buffer = writer.finish().map_err(io::Error::other)?;
         buffer.into_inner().map_err(|e| e.into_error()).map(drop)

@@ -75,10 +75,8 @@ type Pixels = Result<Option<u32>, ()>;
 /// without a time of their own are placed by index at `rate_hz`.
 pub fn write_sequence(plan: &Plan, summary: &Summary, rate_hz: f64) -> Result<(), String> {
     let with_points = summary.triggers.iter().filter(|trigger| trigger.merged_points > Some(0));
-    let clouds = with_points.map(|&TriggerSummary { trigger, time_ns, .. }| {
-        (time_ns.unwrap_or_else(|| time_by_index_ns(trigger, rate_hz)), merged_path(&plan.out, trigger))
-    });
-    from_phase_maps::write_sequence(clouds, &plan.out.join("sequence.mcap"))
+    let triggers = with_points.map(|one| (one.trigger, one.time_ns));
+    from_phase_maps::write_sequence(&plan.out, triggers, rate_hz)
 }
 
 /// The cameras of the plan, those of a head together, each with its tables: these take longer than a frame.

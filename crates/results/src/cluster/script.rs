@@ -12,8 +12,9 @@ const RETRIES: u32 = 3;
 /// Seconds before the limit of time at which Slurm sends a task the signal to end: a frame set takes less.
 const NOTICE_S: u32 = 60;
 
-/// Limit of the collecting job: minutes, and seconds for each frame set, of which it reads and writes 60 MB.
+/// Minutes that the collecting job may take in any case.
 const COLLECT_MIN: u64 = 30;
+/// Seconds that the collecting job may take for each frame set, of which it reads and writes 60 MB.
 const COLLECT_S: u64 = 2;
 
 /// Text as one word of a shell.

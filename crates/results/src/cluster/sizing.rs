@@ -24,6 +24,7 @@ const START_MIN: f64 = 10.0;
 /// The memory requested over what was measured on a few frame sets: it grows for a while with what a task has seen
 /// (docs/guide/cluster.md), and a person near the camera covers more pixels.
 const MEMORY_MARGIN: f64 = 2.0;
+/// Memory requested in addition, MiB, for the program itself and the session's index.
 const MEMORY_SPARE_MIB: f64 = 256.0;
 
 /// What a frame set was measured to take.

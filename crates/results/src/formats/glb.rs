@@ -12,7 +12,7 @@ use std::io::{self, BufWriter, Write};
 /// Half the square root of two: the quaternion that turns z up into y up.
 const HALF_ROOT: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
-// Numbers of the standard.
+// Component types, buffer targets and primitive modes, as glTF 2.0 numbers them.
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
 const UNSIGNED_SHORT: u32 = 5123;

@@ -38,7 +38,7 @@ const fn column(
     Column { ply, xyz, pcd, value }
 }
 
-/// The place of a point, as every cloud has it.
+/// The coordinates of a point.
 const PLACE: [Column; 3] = [
     column(("float", "x"), "x_m", "x", |cloud, i| Value::Float(cloud.position_m[i][0])),
     column(("float", "y"), "y_m", "y", |cloud, i| Value::Float(cloud.position_m[i][1])),

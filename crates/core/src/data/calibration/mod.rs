@@ -139,16 +139,18 @@ pub struct DeviceUncertainty {
     pub sigma: std::collections::BTreeMap<String, f64>,
 }
 
-/// Pixels along a side of a camera or a panel, as the rig file has them at most.
+/// The most pixels along a side of a camera or a panel, as in the rig file.
 const SIDE_MAX: usize = 16_384;
-/// Cameras that a merged cloud can name.
+/// The most cameras that a merged cloud can name by a byte.
 const CAMERAS_MAX: usize = 255;
-/// Pixels of all cameras: each has tables of a byte a pixel.
+/// The most pixels of all cameras together: tables take at least a byte for each.
 const PIXELS_MAX: usize = 1 << 30;
 
+/// The value of `format` in every calibration file.
 const FORMAT: &str = "fourdbody-calibration";
+/// The version that is written: 3 has the rows of the panel.
 const VERSION: u32 = 3;
-/// Version 1 has no identity, no valid volume and no responses, version 2 no rows.
+/// The oldest version that is read: 1 has no identity, no valid volume and no responses, 2 no rows.
 const OLDEST: u32 = 1;
 
 impl Calibration {

@@ -29,7 +29,9 @@ const MAX_CELLS: usize = 48 << 20;
 /// Boxes are coarsened down to this many cells in their shortest direction.
 const COARSEST: usize = 4;
 
+/// The number of V-cycles that solve the equations.
 const CYCLES: usize = 12;
+/// Steps of Jacobi before and after the correction by each coarser grid.
 const SMOOTHINGS: usize = 3;
 
 /// Weight of a step of the smoothing, which is Jacobi's.

@@ -44,7 +44,9 @@ const FIELDS: [(&str, u32, u64); 8] = [
     ("normal_z", 24, FLOAT32),
     ("camera", 28, UINT8),
 ];
+/// `foxglove.PackedElementField.NumericType` of an unsigned byte.
 const UINT8: u64 = 1;
+/// `foxglove.PackedElementField.NumericType` of a float of 32 bits.
 const FLOAT32: u64 = 7;
 
 /// How the clouds of a sequence are rounded and compressed.
