@@ -6,7 +6,7 @@ use super::progress::Progress;
 use super::reconstruct::open_source;
 use crate::base::Exit;
 use crate::base::ids::CameraId;
-use crate::batch::from_phase_maps::phase_path;
+use crate::batch::files::phase_path;
 use crate::batch::key::calibration_sha256;
 use crate::batch::run::{self, Plan};
 use crate::calibrate::drift::history::{Checked, History, Verdict};

@@ -63,7 +63,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         return Err(Failure::new(Exit::Usage, message));
     }
     let tree = find_images(&rig, &args.images).map_err(|problems| all_problems(&args.images, &problems))?;
-    if let Some(left_out) = ImageTree::told(&tree.left_out) {
+    if let Some(left_out) = ImageTree::remark(&tree.left_out) {
         eprintln!("{left_out}");
     }
     let sequences = tree.cameras;

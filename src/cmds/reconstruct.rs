@@ -7,12 +7,12 @@ use super::failure::{Failure, tell_lost, tell_made_up_times};
 use super::progress::Progress;
 use crate::base::Exit;
 use crate::base::ids::CameraId;
-use crate::base::write_whole;
+use crate::base::json;
 use crate::batch::binned::{BinnedSource, MOST_ROWS};
-use crate::batch::collect_shards::{self, Lack, Shards};
+use crate::batch::collect_shards::{self, Shards};
 use crate::batch::image_tree::ImageTree;
 use crate::batch::png_source::PngSource;
-use crate::batch::run::{self, Format, Plan, RunError};
+use crate::batch::run::{self, Format, Plan};
 use crate::batch::strangers;
 use crate::batch::summary::Summary;
 use crate::batch::timings::Timings;
@@ -23,7 +23,7 @@ use crate::reconstruct::pipeline::Method;
 use crate::record::{ReadError, SessionReader};
 use clap::ValueEnum;
 use staged::Staged;
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -31,18 +31,20 @@ use std::path::{Path, PathBuf};
 ///
 /// The directory has all that `view`, `export`, `validate` and `report` need, the calibration with it.
 ///
-/// A merged cloud has the points of all cameras of a trigger, but those that one head sees at grazing incidence and another one
-/// sees well within 2 mm; the clouds of the cameras have all of theirs.
+/// A merged cloud has the points of all cameras of a trigger, except those that one head sees at grazing incidence
+/// where another head sees the surface well, within 2 mm. The clouds of single cameras have all points.
 ///
-/// A frame that shows another trigger than the one it is filed under is refused: what moves lies where the other cameras have it then.
+/// A frame that was taken at another trigger than the one it is stored under is refused: moving parts of the body lie
+/// in it where the other cameras see them at that other trigger.
 ///
-/// Finished frames of the same session, calibration, method and algorithm are kept, so that an interrupted run goes on where it
-/// was; an --out with anything else is refused. All cameras of the session are reconstructed, unless --cameras or --partial says
-/// otherwise. On several machines: `--shard I/N` on each with the same --out, then `--collect N` once;
-/// `fourdbody cluster submit` does this under Slurm. Session and --out may be s3://BUCKET/PREFIX, staged in --scratch.
+/// Finished frames of the same session, calibration, method and algorithm are kept, so that an interrupted run goes
+/// on where it was; an --out with anything else is refused. All cameras of the session are reconstructed, unless
+/// --cameras or --partial chooses. On several machines: `--shard I/N` on each with the same --out, then `--collect N`
+/// once; `fourdbody cluster submit` does this under Slurm. Session and --out may be s3://BUCKET/PREFIX, staged in
+/// --scratch.
 ///
-/// Exit codes: 3 some frames are missing or were refused, and are listed in summary.json; 4 some frames are damaged, or no frame was
-/// reconstructed at all.
+/// Exit codes: 3 some frames are missing or were refused, and are listed in summary.json; 4 some frames are damaged,
+/// or no frame was reconstructed at all.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody reconstruct sessions/walk-01 --calibration calibration.json --out clouds/walk-01"
@@ -56,8 +58,8 @@ pub struct Args {
     /// Only the triggers whose index leaves I when divided by N, for runs on several machines.
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     shard: Option<(u64, u64)>,
-    /// Make summary.json and sequence.mcap of N finished shards: the files that one run would have written. Refused, with
-    /// what is missing, while a shard is not complete.
+    /// Make summary.json and sequence.mcap of N finished shards: the files that one run would have written. Refused,
+    /// with what is missing, while a shard is not complete.
     #[arg(long, value_name = "N", conflicts_with_all = ["shard", "discard", "dump_maps", "timings"])]
     #[arg(value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     collect: Option<u64>,
@@ -78,7 +80,7 @@ pub struct Args {
     json: bool,
 }
 
-/// What is made of which frames: the same for all shards of a session.
+/// The options that all shards of a session share: which frames are reconstructed, and how.
 #[derive(Clone, clap::Args)]
 pub(super) struct What {
     /// A session (directory of recordings, or s3://BUCKET/PREFIX of one), or a directory of CAMERA/INDEX.png images.
@@ -86,8 +88,8 @@ pub(super) struct What {
     /// The calibration, as `fourdbody calibrate` writes it.
     #[arg(long, value_name = "FILE")]
     pub(super) calibration: PathBuf,
-    /// Where phases/, calibration.json and summary.json go (clouds/, merged/ and sequence.mcap with --format ply): a directory, or
-    /// s3://BUCKET/PREFIX.
+    /// Where phases/, calibration.json and summary.json go (clouds/, merged/ and sequence.mcap with --format ply): a
+    /// directory, or s3://BUCKET/PREFIX.
     #[arg(long, value_name = "DIR")]
     pub(super) out: PathBuf,
     /// Only triggers A to B - 1.
@@ -96,31 +98,34 @@ pub(super) struct What {
     /// Only these cameras, separated by commas.
     #[arg(long, value_name = "CAMERA,...", value_delimiter = ',')]
     cameras: Vec<String>,
-    /// Only the cameras that both session and calibration have; without this and --cameras they must have the same ones.
+    /// Only the cameras that both session and calibration have; without this and --cameras they must have the same
+    /// ones.
     #[arg(long, conflicts_with = "cameras")]
     partial: bool,
     /// Triggers per second, for the times in sequence.mcap of images, which state none.
     #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = parse_rate)]
     rate_hz: f64,
-    /// How fringe orders are found: `joint`, from all cameras of a trigger together, refuses what is not certain; `paper` is section 4.1
-    /// of the paper to the letter.
+    /// How fringe orders are found: `joint`, from all cameras of a trigger together, refuses what is not certain;
+    /// `paper` is section 4.1 of the paper to the letter.
     #[arg(long, value_enum, default_value = "joint")]
     method: MethodName,
-    /// Refuse points whose fringe order leads any other by less: more is refused, and less is wrong (docs/validation.md has the curve).
+    /// Refuse points whose fringe order leads the next one by less than T: a larger T refuses more points and leaves
+    /// fewer wrong ones (docs/validation.md has the curve).
     #[arg(long, value_name = "T", default_value_t = fringe_order::MARGIN, value_parser = parse_margin)]
     margin: f32,
-    /// Make one row of so many, for a part of the time: 2 keeps the surface, 3 loses a part of it; with more nobody would see that a
-    /// device has turned (docs/design/reconstruction.md, Fewer rows).
+    /// Make one row of N, for a part of the time: 2 keeps the surface, 3 loses a part of it; with more rows the program
+    /// would not notice that a device has turned (docs/design/reconstruction.md, Fewer rows).
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parse_bin_rows)]
     bin_rows: usize,
-    /// What to write, separated by commas: `phase` maps in phases/, which all other commands read; `ply` point clouds in clouds/ and
-    /// merged/, with sequence.mcap, sixty times the bytes. `fourdbody export` makes the very same clouds of phase maps.
+    /// What to write, separated by commas: `phase` maps in phases/, which all other commands read; `ply` point clouds
+    /// in clouds/ and merged/, with sequence.mcap, sixty times the bytes. `fourdbody export` makes the
+    /// same clouds of phase maps.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "phase", value_name = "FORMAT,...")]
     format: Vec<FormatName>,
     /// Give every point its standard uncertainty along the line of sight, `sigma` (float, metres) in PLY files.
     #[arg(long)]
     uncertainty: bool,
-    /// Whether the session has been staged, and lacks what is not read.
+    /// Whether the session is a staged copy, without the frames that this run does not read.
     #[arg(skip)]
     is_part: bool,
 }
@@ -153,7 +158,7 @@ fn open_by(
     Ok(Box::new(open(path)?))
 }
 
-/// Half a rig is never taken for a whole one: the calibration's cameras are those of the session.
+/// Refuses a session and a calibration that do not have the same cameras: half a rig must not pass for a whole one.
 fn same_cameras(calibrated: &[CameraId], session: &SessionIdentity) -> Result<(), String> {
     let list = |ids: &[&CameraId]| ids.iter().map(|id| id.as_str()).collect::<Vec<_>>().join(", ");
     let lacking = |all: &'_ [CameraId], there: &[CameraId]| -> String {
@@ -169,12 +174,13 @@ fn same_cameras(calibrated: &[CameraId], session: &SessionIdentity) -> Result<()
         (a, b) => format!("the session has {a}, which the calibration has not, and the calibration {b}"),
     };
     Err(format!(
-        "{found}; expected the same cameras in both. Give the calibration of the whole rig, or ask for a part of it: --cameras, or \
+        "{found}; expected the same cameras in both. Give the calibration of the whole rig, or choose a \
+         part of it: --cameras, or \
          --partial for those that both have"
     ))
 }
 
-/// Lets the allocator keep what a frame gives back for the next one. By default blocks of this size go back to the
+/// Lets the allocator keep the memory of a frame for the next one. By default blocks of this size go back to the
 /// system each time, and every page of them is cleared and mapped anew: a quarter of the time.
 pub(super) fn keep_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
@@ -205,7 +211,7 @@ impl What {
         // Of a part of a session there is no more than the indexes have.
         let open = if self.is_part { SessionReader::open_frames } else { SessionReader::open_timed };
         let source = open_by(&self.session, &cameras, open)?;
-        if let Some(left_out) = ImageTree::told(source.left_out()) {
+        if let Some(left_out) = ImageTree::remark(source.left_out()) {
             eprintln!("{left_out}");
         }
         tell_lost(source.lost());
@@ -215,7 +221,7 @@ impl What {
         if self.partial {
             cameras.retain(|camera| session.cameras.contains(camera));
         } else if self.cameras.is_empty() {
-            // Where nothing says which cameras an unreadable recording has, those are what is lacking.
+            // The cameras of an unreadable recording are not known: those are what is lacking.
             let exit = if source.lost().is_empty() { Exit::Usage } else { Exit::Corrupt };
             same_cameras(&cameras, &session).map_err(|e| Failure::new(exit, e))?;
         }
@@ -228,16 +234,10 @@ impl What {
             let readable: Vec<CameraId> = cameras.iter().filter(|id| !is_lost(id)).cloned().collect();
             calibration.fits(&readable, &stated).map_err(|e| usage(&e))?;
         }
-        let all = source.triggers();
-        let triggers = match &self.triggers {
-            None => all,
-            Some(wanted) if wanted.start >= all.start && wanted.end <= all.end => wanted.clone(),
-            Some(wanted) => {
-                return Err(usage(&format!("--triggers {wanted:?}: the session has triggers {all:?}")));
-            }
-        };
+        let triggers = super::export::chosen_triggers(self.triggers.as_ref(), source.triggers())?;
         if matches!(self.method, MethodName::Paper) && calibration.pattern.marker_every > 0 {
-            let message = "--method paper: the paper's pattern has one marker, this calibration's has several; use the default method";
+            let message = "--method paper: the paper's pattern has one marker, this calibration's has \
+                 several; use the default method";
             return Err(usage(&message));
         }
         if matches!(self.method, MethodName::Paper) && self.uncertainty {
@@ -245,15 +245,13 @@ impl What {
                 "--method paper: it has no uncertainties; leave out --uncertainty, or use the default method";
             return Err(usage(&message));
         }
-        let (source, calibration): (Box<dyn FrameSource>, _) = match self.bin_rows {
-            1 => (source, calibration),
-            rows => (Box::new(BinnedSource::new(source, rows)), calibration.with_binned_rows(rows)),
-        };
+        let source = BinnedSource::around(source, self.bin_rows);
+        let calibration =
+            if self.bin_rows > 1 { calibration.with_binned_rows(self.bin_rows) } else { calibration };
         let plan = Plan {
             out: self.out.clone(),
             triggers,
             cameras,
-            shard: (0, 1),
             method: match self.method {
                 MethodName::Joint => Method::Joint,
                 MethodName::Paper => Method::Paper,
@@ -263,14 +261,13 @@ impl What {
             bin_rows: self.bin_rows,
             formats: self.formats(),
             uncertainty: self.uncertainty,
-            maps: None,
-            discard: false,
+            ..Plan::default()
         };
         Ok(Opened { session, source, calibration, plan })
     }
 
-    /// Whether a part that cannot be read is one of what was asked for.
-    fn asks_for(&self, part: &LostPart) -> bool {
+    /// Whether a part that cannot be read belongs to what the options choose.
+    fn includes(&self, part: &LostPart) -> bool {
         let named = |name: &String| part.cameras.iter().any(|id| id.as_str() == name);
         self.cameras.is_empty() || self.cameras.iter().any(named)
     }
@@ -323,7 +320,7 @@ impl What {
     }
 }
 
-/// Runs the command.
+/// Runs `fourdbody reconstruct` with these arguments.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     keep_freed_memory();
     match Staged::of(args)? {
@@ -345,7 +342,12 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
         .map_err(|e| Failure::new(Exit::Failure, e))?;
     let mut summary = match args.collect {
         None => reconstruct(args, &pool, source.as_ref(), &calibration, &plan)?,
-        Some(count) => collected(&pool, Shards::new(session, &plan, &calibration, count))?,
+        Some(count) => {
+            let shards = Shards::new(session, &plan, &calibration, count)
+                .map_err(|e| Failure::new(Exit::Failure, e))?;
+            collect_shards::remove_leftovers(&plan.out);
+            pool.install(|| collect_shards::collect(&shards))?
+        }
     };
     // A frame of another trigger is known by those around it, which other shards have.
     if args.shard.is_none() {
@@ -362,7 +364,7 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
         }
     }
     summary.unreadable =
-        source.lost().iter().filter(|part| what.asks_for(part)).map(LostPart::to_string).collect();
+        source.lost().iter().filter(|part| what.includes(part)).map(LostPart::to_string).collect();
     let path = collect_shards::summary_path(&plan.out, args.shard);
     summary.save(&path).map_err(|e| Failure::new(Exit::Failure, e))?;
     report(args, &summary);
@@ -387,13 +389,14 @@ pub(super) fn exit_of(summary: &Summary) -> Exit {
     }
 }
 
-/// That nothing was reconstructed, and why most of it was not.
+/// The message that no frame was reconstructed, with the most frequent reason.
 fn nothing(summary: &Summary) -> String {
     let Summary { frames, refused, gaps, damaged, .. } = summary;
     let most =
         summary.most_refused_for().map_or_else(String::new, |reason| format!("; most often: {reason}"));
     format!(
-        "no frame was reconstructed: expected clouds of {frames} frames, but {refused} were refused, {gaps} are missing and {damaged} \
+        "no frame was reconstructed: expected clouds of {frames} frames, but {refused} were refused, {gaps} \
+         are missing and {damaged} \
          damaged{most}. Is it the calibration of this rig, and was there light?"
     )
 }
@@ -412,31 +415,14 @@ fn reconstruct(
             eprint!("\r{done} of {count} triggers{}", if done == count { "\n" } else { "" });
         }
     };
-    let run = pool.install(|| run::run(source, calibration, plan, progress));
-    let (summary, timings) = run.map_err(|error| {
-        let exit = match error {
-            RunError::Occupied(_) => Exit::Usage,
-            RunError::Failed(_) => Exit::Failure,
-        };
-        Failure::new(exit, error)
-    })?;
+    let (summary, timings) = pool.install(|| run::run(source, calibration, plan, progress))?;
     if let Some(path) = &args.timings {
         write_json(path, &Cost { timings, peak_memory_bytes: peak_memory_bytes() })?;
     }
     Ok(summary)
 }
 
-/// The summary of all shards.
-fn collected(pool: &rayon::ThreadPool, shards: Result<Shards<'_>, String>) -> Result<Summary, Failure> {
-    let shards = shards.map_err(|e| Failure::new(Exit::Failure, e))?;
-    shards.remove_leftovers();
-    pool.install(|| collect_shards::collect(&shards)).map_err(|error| {
-        let agree = error.problems.iter().all(|problem| problem.lack == Lack::Work);
-        Failure::new(if agree { Exit::Failure } else { Exit::Usage }, error)
-    })
-}
-
-/// What `--timings` writes.
+/// The content of the file that `--timings` names.
 #[derive(serde::Serialize)]
 struct Cost {
     #[serde(flatten)]
@@ -458,9 +444,7 @@ fn peak_memory_bytes() -> u64 {
 }
 
 pub(super) fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<(), Failure> {
-    let fail = |e: &dyn std::fmt::Display| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
-    let text = serde_json::to_string_pretty(value).map_err(|e| fail(&e))?;
-    write_whole(path, |file| writeln!(file, "{text}")).map_err(|e| fail(&e))
+    json::save(path, value).map_err(|e| Failure::new(Exit::Failure, e))
 }
 
 fn report(args: &Args, summary: &Summary) {
@@ -482,7 +466,7 @@ fn report(args: &Args, summary: &Summary) {
     );
     if !summary.left_out.is_empty() {
         let names: Vec<&str> = summary.left_out.iter().map(CameraId::as_str).collect();
-        println!("  partial, as asked: without {}", names.join(", "));
+        println!("  partial, as requested: without {}", names.join(", "));
     }
     for part in &summary.unreadable {
         println!("  NOT WHOLE: {part}");
@@ -503,7 +487,8 @@ fn report(args: &Args, summary: &Summary) {
     for (camera, offset) in summary.marker_offsets_px() {
         if offset.abs() > REMARKABLE_PX {
             println!(
-                "  {camera}: the marker's dashes lie {offset:.2} px of the panel from where the calibration has them; has a device moved since?"
+                "  {camera}: the marker's dashes lie {offset:.2} px of the panel from where the calibration \
+                 has them; has a device moved since?"
             );
         }
     }

@@ -78,10 +78,7 @@ fn open_photographs(
     clouds: &Path,
 ) -> Result<Box<dyn FrameSource>, Failure> {
     let source = super::reconstruct::open_source(session, cameras)?;
-    Ok(match bin_rows(clouds)? {
-        1 => source,
-        rows => Box::new(BinnedSource::new(source, rows)),
-    })
+    Ok(BinnedSource::around(source, bin_rows(clouds)?))
 }
 
 /// A cloud that is listed must be readable.

@@ -173,7 +173,7 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
     let mut other = calibration.clone();
     other.volume_max_m[2] += 0.01;
     refused(&other, "calibration");
-    let path = from_phase_maps::phase_path(&stored, cameras[0].as_str(), 0);
+    let path = fourdbody::batch::files::phase_path(&stored, cameras[0].as_str(), 0);
     let mut bytes = std::fs::read(&path).expect("was written");
     let middle = bytes.len() / 2;
     bytes[middle] ^= 4;

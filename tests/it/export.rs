@@ -219,26 +219,23 @@ fn one_trigger_of_one_camera_is_read_without_the_others() {
     let triggers: Vec<u64> = (0..20).collect();
     let cloud = reconstruction(&from, &triggers);
     let time = (12.0 * 1e9f64 / 120.0).round() as u64;
-    for (name, arguments, prefix, compression) in [
-        ("plain", &[][..], "/cloud", ""),
-        ("packed", &["--compress", "3"][..], "/cloud", "zstd"),
-        ("small", &["--quantize", "0.02"][..], "/quantized", "zstd"),
+    for (name, arguments, compression) in [
+        ("plain", &[][..], ""),
+        ("packed", &["--compress", "3"][..], "zstd"),
+        ("small", &["--quantize", "0.02"][..], "zstd"),
     ] {
         let out = dir.path().join(name);
         let to = ["--to", "mcap", "--clouds", "merged,directional"];
         exported(&from, &out, &[&to, arguments].concat());
         let path = out.join("sequence.mcap").display().to_string();
         let Some(found) = read_by_others(&["sequence", &path, "h1_low", &time.to_string()]) else { return };
-        let topics = [prefix.to_owned(), format!("{prefix}/h0_up"), format!("{prefix}/h1_low")];
+        let topics = ["/cloud", "/cloud/h0_up", "/cloud/h1_low"];
         assert_eq!(found["topics"], serde_json::json!(topics));
         assert_eq!(found["compression"], serde_json::json!([compression]));
         assert_eq!(found["chunks"], 3 * triggers.len());
         let (size, one) = (found["size"].as_u64().expect("bytes"), &found["one"]);
         assert_eq!(one["messages"].as_array().map(Vec::len), Some(1));
-        assert_eq!(
-            (&one["messages"][0][0], &one["messages"][0][1]),
-            (&topics[2].clone().into(), &time.into())
-        );
+        assert_eq!((&one["messages"][0][0], &one["messages"][0][1]), (&topics[2].into(), &time.into()));
         // The message's own chunk, the summary with a few hundred bytes a chunk, and no more.
         let (bytes, chunk) = (one["bytes"].as_u64().expect("bytes"), size / triggers.len() as u64);
         println!("{name}: {size} bytes, {} of one message read", bytes);
@@ -248,7 +245,7 @@ fn one_trigger_of_one_camera_is_read_without_the_others() {
         assert!(camera < size / 3, "{name}: {camera} of {size} for one camera of two and the merged cloud");
         if name == "small" {
             let points = 2 * cloud.len() * triggers.len();
-            assert!(size < 8 * points as u64, "{size} bytes for {points} points");
+            assert!(size < 20 * points as u64, "{size} bytes for {points} points");
         }
     }
 }
@@ -413,7 +410,7 @@ fn the_readers_scripts_run() {
     std::fs::write(dir.path().join("expected.bin"), expected_bytes(&cloud)).expect("writable");
     let check = "import sys, types, runpy, numpy as np\n\
         sys.path.insert(0, sys.argv[1])\n\
-        import open_numpy, open_quantized\n\
+        import open_numpy\n\
         kind = np.dtype([('p', '<f4', 3), ('i', '<f4'), ('n', '<f4', 3), ('uv', '<u2', 2), ('c', 'u1')])\n\
         e = np.fromfile(sys.argv[4], kind)\n\
         n = 0\n\
@@ -423,13 +420,12 @@ fn the_readers_scripts_run() {
         assert n == 3, n\n\
         one = [t for t, _ in open_numpy.clouds(sys.argv[2], '/cloud', 8_333_333, 8_333_334)]\n\
         assert one == [8_333_333], one\n\
-        for n, (t, c) in enumerate(open_quantized.clouds(sys.argv[3]), 1):\n\
-        \x20   error = max(abs(c[a] - e['p'][:, k].astype(float)).max() for k, a in enumerate('xyz'))\n\
+        for n, (t, c) in enumerate(open_numpy.clouds(sys.argv[3]), 1):\n\
+        \x20   error = max(abs(c[a].astype(float) - e['p'][:, k].astype(float)).max() for k, a in enumerate('xyz'))\n\
         \x20   assert error <= 1.0001e-5, error\n\
-        \x20   cosine = sum(c['normal_' + a] * e['n'][:, k] for k, a in enumerate('xyz')).clip(-1, 1)\n\
-        \x20   assert np.degrees(np.arccos(cosine)).max() < 0.25\n\
-        \x20   assert abs(c['intensity'] - e['i']).max() <= 0.5 / 1020 + 1e-6\n\
-        \x20   assert np.array_equal(np.stack([c['u'], c['v']], 1), e['uv']) and np.array_equal(c['camera'], e['c'])\n\
+        \x20   assert max(abs(c['normal_' + a] - e['n'][:, k]).max() for k, a in enumerate('xyz')) <= 1 / 512\n\
+        \x20   assert abs(c['intensity'] - e['i']).max() <= 0.5 / 1024\n\
+        \x20   assert np.array_equal(c['camera'], e['c'])\n\
         assert n == 3, n\n\
         try:\n\
         \x20   import open3d\n\
@@ -460,13 +456,14 @@ fn the_readers_scripts_run() {
     assert!(output.status.success(), "{text}");
     println!("{text}");
     // And as programs.
-    for (script, out) in [("open_numpy.py", &plain), ("open_quantized.py", &small)] {
-        let program = Command::new(&python).arg(scripts.join(script)).arg(out.join("sequence.mcap")).output();
+    for out in [&plain, &small] {
+        let program =
+            Command::new(&python).arg(scripts.join("open_numpy.py")).arg(out.join("sequence.mcap")).output();
         let program = program.expect("Python runs");
-        assert!(program.status.success(), "{script}: {}", text_of(&program));
-        assert_eq!(String::from_utf8_lossy(&program.stdout).lines().count(), 3, "{script}");
+        assert!(program.status.success(), "{}", text_of(&program));
+        assert_eq!(String::from_utf8_lossy(&program.stdout).lines().count(), 3);
     }
-    for script in ["open_numpy.py", "open_quantized.py", "play_open3d.py"] {
+    for script in ["open_numpy.py", "play_open3d.py"] {
         let text = std::fs::read_to_string(scripts.join(script)).expect("readable");
         assert!(text.lines().count() <= 30, "{script} is short enough to be read");
     }

@@ -152,7 +152,7 @@ fn what_is_missing_or_foreign_among_the_files_of_a_result_is_named() {
     let frame = &mut summary["triggers"][1]["frames"][0];
     frame["points"] = (frame["points"].as_u64().expect("points") - 1).into();
     std::fs::write(&path, summary.to_string()).expect("writable");
-    all(4, &["summary.json says"]);
+    all(4, &["summary.json states"]);
     summary = serde_json::from_str(&text).expect("JSON");
     summary["triggers"].as_array_mut().expect("triggers").remove(2);
     std::fs::write(&path, summary.to_string()).expect("writable");

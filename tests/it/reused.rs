@@ -188,17 +188,17 @@ fn a_result_is_of_one_session_and_of_one_algorithm() {
         refused(&reconstruct(&place, from, &out, options), 2, words);
         assert!(state().1 == before.1 && state().0 == before.0, "something was written over");
     };
-    other(&second, &[], &["session: there first", "asked for second", "--out"]);
+    other(&second, &[], &["session: there first", "requested second", "--out"]);
     other(&place.path("images"), &[], &["session: there first", "images "]);
     other(&first, &["--method", "paper"], &["method: there joint"]);
-    other(&first, &["--margin", "2"], &["margin: there 1, asked for 2"]);
-    other(&first, &["--bin-rows", "2"], &["calibration: there", "bin-rows: there 1, asked for 2"]);
-    other(&first, &["--format", "phase"], &["format: there ply, asked for phase"]);
-    other(&first, &["--format", "ply,phase"], &["format: there ply, asked for phase,ply"]);
+    other(&first, &["--margin", "2"], &["margin: there 1, requested 2"]);
+    other(&first, &["--bin-rows", "2"], &["calibration: there", "bin-rows: there 1, requested 2"]);
+    other(&first, &["--format", "phase"], &["format: there ply, requested phase"]);
+    other(&first, &["--format", "ply,phase"], &["format: there ply, requested phase,ply"]);
     other(&first, &["--cameras", "h0_up"], &["cameras: there h0_up,h0_low"]);
     std::fs::remove_dir_all(&first).expect("ours");
     place.session("first");
-    other(&first, &[], &["session: there first", "asked for first"]);
+    other(&first, &[], &["session: there first", "requested first"]);
     other(&first, &["--shard", "0/2"], &["session: there first"]);
     // Neither is a page about one session made of the other one's clouds.
     let page = place.path("page.html");
@@ -386,7 +386,7 @@ fn a_part_of_the_cameras_is_asked_for_by_name() {
     assert!(!place.path("all").exists());
     let asked = ["--partial"];
     let partial = with("part", &asked);
-    refused(&partial, 0, &["2 clouds", "partial, as asked: without h1_up"]);
+    refused(&partial, 0, &["2 clouds", "partial, as requested: without h1_up"]);
     assert_eq!(json(&place.path("part/summary.json"))["left_out"], Value::from(["h1_up"]));
     let named = with("named", &["--cameras", "h0_up"]);
     refused(&named, 0, &["1 clouds", "without h0_low, h1_up"]);

@@ -6,7 +6,9 @@ use crate::back_end::calibration;
 use fourdbody::batch::run::{Format, Plan};
 use fourdbody::batch::strangers;
 use fourdbody::batch::summary::Summary;
-use fourdbody::batch::witness::{Said, Sketch, Sketches, Strangers, ask, strangers as find, suspects};
+use fourdbody::batch::witness::{
+    Evidence, Sketch, Sketches, Strangers, evidence_on, strangers as find, suspects,
+};
 use fourdbody::data::{Calibration, Cloud};
 use fourdbody::formats::ply;
 use fourdbody::geometry::Device;
@@ -58,7 +60,7 @@ fn clouds(
     (0..TRIGGERS).map(|trigger| (trigger, of(trigger))).collect()
 }
 
-fn said(calibration: &Calibration, clouds: &BTreeMap<u64, Vec<Cloud>>) -> BTreeMap<(u64, usize), Said> {
+fn said(calibration: &Calibration, clouds: &BTreeMap<u64, Vec<Cloud>>) -> BTreeMap<(u64, usize), Evidence> {
     let sketch = |(cloud, (_, camera)): (&Cloud, (_, &fourdbody::data::CalibratedCamera))| {
         (!cloud.is_empty()).then(|| Sketch::new(cloud, &camera.device))
     };
@@ -67,7 +69,7 @@ fn said(calibration: &Calibration, clouds: &BTreeMap<u64, Vec<Cloud>>) -> BTreeM
     let sketches: BTreeMap<u64, Sketches> =
         clouds.iter().map(|(trigger, clouds)| (*trigger, sketches(clouds))).collect();
     let frames = clouds.keys().flat_map(|trigger| (0..8).map(move |camera| (*trigger, camera)));
-    let of = |frame: (u64, usize)| Some((frame, ask(calibration, &sketches, frame.0, frame.1)?));
+    let of = |frame: (u64, usize)| Some((frame, evidence_on(calibration, &sketches, frame.0, frame.1)?));
     frames.filter_map(of).collect()
 }
 

@@ -130,7 +130,7 @@ mod tests {
     fn a_position_whose_recording_cannot_be_read_is_one_less() {
         let camera = CameraId::from("b");
         let part = LostPart {
-            told: "node b: its recording cannot be read".to_owned(),
+            reason: "node b: its recording cannot be read".to_owned(),
             cameras: vec![camera.clone()],
         };
         let mut joined = Joined::default();

@@ -1,5 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What everything stands on: identifiers and files, lenses and patterns, configuration, what flows between parts, formats.
+//! What everything stands on: identifiers and files, lenses and patterns, configuration, what flows between parts,
+//! formats.
+
+#![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]
 
 /// Identifiers, images, clocks, files written whole, and how a command ends.
 pub mod base;

@@ -189,7 +189,7 @@ pub(crate) fn parse_rig(text: &str) -> Result<Rig, String> {
 
 /// A recording that cannot be read; its cameras are not known yet.
 fn lost_part(one: &Unreadable) -> LostPart {
-    LostPart { told: one.to_string(), cameras: Vec::new() }
+    LostPart { reason: one.to_string(), cameras: Vec::new() }
 }
 
 impl FrameSource for SessionReader {

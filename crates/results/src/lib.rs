@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session to a directory of results: planned, resumed, written, exported, spread over a cluster.
 
+#![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]
+
 #[cfg(test)]
 use fourdbody_core::config;
 use fourdbody_core::{base, data, geometry};

@@ -2,6 +2,7 @@
 //! Mesh files: reads OBJ (vertices and faces) and PLY (ascii or binary little-endian), writes binary PLY.
 
 use super::mesh::Mesh;
+use fourdbody::formats::ply::header_lines;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -163,14 +164,11 @@ fn take<const N: usize>(bytes: &mut &[u8]) -> Result<[u8; N], String> {
 }
 
 fn parse_ply(bytes: &[u8]) -> Result<Mesh, String> {
-    const END: &[u8] = b"end_header";
-    let end = bytes.windows(END.len()).position(|w| w == END).ok_or("has no end_header")?;
-    let header = String::from_utf8_lossy(&bytes[..end]);
-    let newline = bytes[end..].iter().position(|&b| b == b'\n').ok_or("stops after its header")?;
-    let body = &bytes[end + newline + 1..];
+    let mut body = bytes;
+    let header = header_lines(&mut body)?;
     let mut binary = false;
     let mut elements: Vec<(String, usize, Vec<Property>)> = Vec::new();
-    for line in header.lines() {
+    for line in &header {
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         match words.as_slice() {
             ["format", "ascii", _] => binary = false,

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody export` of a reconstruction.
 
-use super::{Args, Clouds, MeshName, Target, calibration, chosen_cameras, chosen_triggers, stopped};
+use super::{Args, Clouds, MeshName, Target, calibration, chosen_cameras, chosen_triggers};
 use crate::base::Exit;
 use crate::base::ids::TriggerIndex;
 use crate::batch::belonging::{self, Expected, Held};
@@ -11,9 +11,9 @@ use crate::batch::run::time_by_index_ns;
 use crate::cmds::failure::{Failure, tell_amiss, tell_lost, tell_made_up_times, unusable_clouds};
 use crate::cmds::progress::Progress;
 use crate::data::FrameSource;
+use crate::export::collect;
 use crate::export::job::{self, Plan, Summary};
 use crate::export::mesh::{GridLimits, MeshKind};
-use crate::export::{Contents, collect};
 use crate::formats::sequence::Options;
 use crate::formats::{CloudSource, Format, PlyDirectory};
 use crate::record::SessionReader;
@@ -43,7 +43,7 @@ fn export(args: &Args, source: &dyn CloudSource) -> Result<Exit, Failure> {
     let progress = Progress::of("exporting", "triggers");
     let mut summary = Summary::default();
     if !plan.formats.is_empty() {
-        summary = job::run(source, &plan, |done, total| progress.at(done, total)).map_err(stopped)?;
+        summary = job::run(source, &plan, |done, total| progress.at(done, total))?;
     }
     if args.to.contains(&Target::Mcap) {
         let made = write_sequence(args, source, &plan, &progress)?;
@@ -58,7 +58,8 @@ fn export(args: &Args, source: &dyn CloudSource) -> Result<Exit, Failure> {
     report(args, &summary);
     if summary.problems.is_empty() && summary.written + summary.skipped == 0 {
         let message = format!(
-            "{}: nothing was exported: expected clouds with points, found none in {} triggers (summary.json tells why frames were refused)",
+            "{}: nothing was exported: expected clouds with points, found none in {} triggers (summary.json \
+             states why frames were refused)",
             args.directory.display(),
             summary.triggers
         );
@@ -146,16 +147,10 @@ fn write_sequence(
         zstd_level: args.compress.map_or(u32::from(args.quantize.is_some()), u32::from),
         step_m: args.quantize.map(|mm| mm / 1e3),
     };
-    let contents = Contents {
-        merged: plan.merged,
-        directional: plan.directional,
-        triggers: plan.triggers.clone(),
-        cameras: plan.cameras.clone(),
-    };
     let path = args.out.join("sequence.mcap");
     let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
     std::fs::create_dir_all(&args.out).map_err(fail)?;
-    collect(source, &contents, options, &path, time_ns, |done, total| progress.at(done, total)).map_err(fail)
+    collect(source, plan, options, &path, time_ns, |done, total| progress.at(done, total)).map_err(fail)
 }
 
 /// The session that the result is of.
@@ -184,7 +179,8 @@ fn report(args: &Args, summary: &Summary) {
         println!("{}", serde_json::json!(summary));
     } else {
         println!(
-            "{} triggers: {} files written ({:.1} MB, {} points, {} triangles), {} were finished, {} without points, {} problems",
+            "{} triggers: {} files written ({:.1} MB, {} points, {} triangles), {} were finished, {} \
+             without points, {} problems",
             summary.triggers,
             summary.written,
             summary.bytes as f64 / 1e6,

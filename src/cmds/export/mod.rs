@@ -7,31 +7,30 @@ mod session;
 use super::failure::{Failure, tell_amiss, tell_made_up_times};
 use super::progress::Progress;
 use crate::base::Exit;
-use crate::batch::from_phase_maps::{self, StoredError};
+use crate::batch::from_phase_maps;
 use crate::batch::result::calibration_of;
 use crate::data::Calibration;
 use crate::export::frames::Picture;
-use crate::export::job::ExportError;
 use crate::formats::Format;
-use crate::formats::sequence::quantized::STEPS_M;
+use crate::formats::sequence::STEPS_M;
 use std::ops::Range;
 use std::path::PathBuf;
 
 /// Write clouds, meshes, frames and times as files that other programs read.
 ///
-/// Of a reconstruction: point clouds and triangle meshes in the formats of --to, or one sequence (mcap). Of a session: its
-/// frames (png, tiff) and when each of them was (csv). Files that are finished and not older than what they are made of are
-/// kept, so that an interrupted run goes on where it was. docs/guide/exporting.md says what each format holds and which
-/// programs open it.
+/// Of a reconstruction: point clouds and triangle meshes in the formats of --to, or one sequence (mcap). Of a
+/// session: its frames (png, tiff) and when each of them was (csv). Files that are finished and not older than what
+/// they are made of are kept, so that an interrupted run goes on where it was. docs/guide/exporting.md describes what
+/// each format holds and which programs open it.
 ///
-/// Without any choice of clouds, stored phase maps become all that `reconstruct` would have written itself, byte for byte:
-/// clouds/, merged/ and sequence.mcap.
+/// Without --to, --clouds, --mesh, --triggers and --cameras, phase maps become the files that `reconstruct --format
+/// ply` writes, byte for byte: clouds/, merged/ and sequence.mcap.
 ///
-/// Each file of a reconstruction is held against its name, its session and summary.json.
+/// Each file of a reconstruction is checked against its name, its session and summary.json.
 ///
-/// Exit codes: 0 done; 2 wrong usage; 3 done, but some frames are missing in the session, files are missing, or clouds have no points
-/// (nothing is written of these); 4 some clouds or frames are damaged or of something else, and listed, or there is nothing to export at
-/// all; 1 could not write.
+/// Exit codes: 0 done; 2 wrong usage; 3 done, but some frames are missing in the session, files are missing, or
+/// clouds have no points (nothing is written of these); 4 some clouds or frames are damaged or belong to something
+/// else, and are listed, or there is nothing to export; 1 could not write.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -46,7 +45,7 @@ pub struct Args {
     /// The calibration that it was reconstructed with [default: that in DIRECTORY].
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-    /// Where the files go.
+    /// The directory that the files go to.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// What to write, separated by commas.
@@ -58,11 +57,12 @@ pub struct Args {
     /// Only these cameras, separated by commas.
     #[arg(long, value_name = "CAMERA,...", value_delimiter = ',')]
     cameras: Vec<String>,
-    /// Which clouds: a file a trigger (`merged`, less what another head sees better), a file a camera and trigger (`directional`), or both [default: merged].
+    /// Which clouds: one file per trigger (`merged`, without points that another head sees better), one file per
+    /// camera and trigger (`directional`), or both [default: merged].
     #[arg(long, value_enum, value_delimiter = ',', value_name = "KIND,...")]
     clouds: Vec<Clouds>,
-    /// Triangles instead of points: `grid` between the neighbouring pixels of each camera, holes stay holes; `watertight`
-    /// one closed surface through the merged cloud. For ply, ply-ascii, glb and obj.
+    /// Triangles instead of points: `grid` joins the neighbouring pixels of each camera and keeps holes; `watertight`
+    /// makes one closed surface through the merged cloud. For ply, ply-ascii, glb and obj.
     #[arg(long, value_enum, value_name = "KIND")]
     mesh: Option<MeshName>,
     /// With --mesh grid: the longest edge, in median spacings of a cloud's points.
@@ -71,8 +71,8 @@ pub struct Args {
     /// With --mesh watertight: side of the cells that the surface is found on, mm.
     #[arg(long, value_name = "MM", default_value_t = 5.0, value_parser = parse_cell)]
     cell: f64,
-    /// With --to mcap: round places to this step, mm (0.02 is far below the measurement's uncertainty), and compress: a tenth
-    /// of the bytes, in a form that docs/guide/exporting.md describes and viewers do not know.
+    /// With --to mcap: round places to steps of at most this, mm (0.02 is far below the measurement's uncertainty),
+    /// normals and intensities likewise, and compress: less than half of the bytes.
     #[arg(long, value_name = "MM", value_parser = parse_step)]
     quantize: Option<f64>,
     /// With --to mcap: level of compression (zstd), 0 for none [default: 0, or 1 with --quantize].
@@ -84,7 +84,7 @@ pub struct Args {
     /// Number of threads [default: one per core].
     #[arg(long, value_name = "N")]
     jobs: Option<usize>,
-    /// Triggers per second, for the times in sequence.mcap where nothing states them, as of images.
+    /// Triggers per second, for the times in sequence.mcap where no file states them, as of images.
     #[arg(long, value_name = "HZ", default_value_t = 120.0, value_parser = super::reconstruct::parse_rate)]
     rate_hz: f64,
     /// Print the summary as JSON.
@@ -94,9 +94,9 @@ pub struct Args {
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Target {
-    /// Binary PLY.
+    /// Binary PLY, the layout that `reconstruct` writes.
     Ply,
-    /// PLY as text.
+    /// PLY as text, with the same columns.
     PlyAscii,
     /// PCD (Point Cloud Library), binary.
     Pcd,
@@ -104,15 +104,15 @@ enum Target {
     Xyz,
     /// E57 (ASTM E2807), a scan a camera.
     E57,
-    /// glTF 2.0, binary.
+    /// glTF 2.0, binary: points or triangles.
     Glb,
-    /// Wavefront OBJ.
+    /// Wavefront OBJ, text: points or triangles.
     Obj,
     /// A sequence of clouds, foxglove.PointCloud in MCAP.
     Mcap,
-    /// Frames of a session.
+    /// Frames of a session, 8-bit grey, compressed.
     Png,
-    /// Frames of a session.
+    /// Frames of a session, 8-bit grey, not compressed.
     Tiff,
     /// Times of a session's frames.
     Csv,
@@ -157,7 +157,7 @@ impl Target {
     }
 }
 
-/// Runs the command.
+/// Runs `fourdbody export` with these arguments.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     super::reconstruct::keep_freed_memory();
     let of_session = args.to.iter().filter(|target| target.is_of_session()).count();
@@ -166,18 +166,19 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .build()
         .map_err(|e| Failure::new(Exit::Failure, e))?;
     match of_session {
-        0 if asks_for_all(args) => pool.install(|| everything(args)),
+        0 if is_plain(args) => pool.install(|| everything(args)),
         0 => pool.install(|| clouds::run(args)),
         n if n == args.to.len() => pool.install(|| session::run(args)),
         _ => {
-            let message = "--to: png, tiff and csv are made of a session, the others of a reconstruction: export them one after the other";
+            let message = "--to: png, tiff and csv are made of a session, the others of a reconstruction: \
+                 export them one after the other";
             Err(Failure::new(Exit::Usage, message))
         }
     }
 }
 
 /// Whether stored phase maps are to become what `reconstruct` would have written.
-fn asks_for_all(args: &Args) -> bool {
+fn is_plain(args: &Args) -> bool {
     let chosen = args.triggers.is_some() || !args.cameras.is_empty() || !args.clouds.is_empty();
     let plain = args.to == [Target::Ply] && args.mesh.is_none();
     plain && !chosen && args.directory.join("phases").is_dir()
@@ -188,14 +189,7 @@ fn everything(args: &Args) -> Result<Exit, Failure> {
     let calibration = calibration(args)?;
     let progress = Progress::of("exporting", "triggers");
     let at = |done, total| progress.at(done, total);
-    let made =
-        from_phase_maps::export(&args.directory, &calibration, &args.out, args.rate_hz, at).map_err(|e| {
-            match e {
-                StoredError::Maps(_) | StoredError::Nothing(_) => Failure::new(Exit::Corrupt, e),
-                StoredError::Occupied(_) => Failure::new(Exit::Usage, e),
-                StoredError::Write(_) => Failure::new(Exit::Failure, e),
-            }
-        })?;
+    let made = from_phase_maps::export(&args.directory, &calibration, &args.out, args.rate_hz, at)?;
     drop(progress);
     let is_amiss = tell_amiss(&made.amiss);
     if made.made_up_times {
@@ -208,7 +202,8 @@ fn everything(args: &Args) -> Result<Exit, Failure> {
         let from_phase_maps::Exported { clouds, merged_points, triggers, kept, empty, .. } = made;
         let merged = triggers - empty;
         println!(
-            "{clouds} clouds; {merged_points} points in {merged} merged clouds; {kept} of {triggers} triggers finished before, {empty} \
+            "{clouds} clouds; {merged_points} points in {merged} merged clouds; {kept} of {triggers} \
+             triggers finished before, {empty} \
              without a point"
         );
     }
@@ -222,17 +217,8 @@ fn calibration(args: &Args) -> Result<Calibration, Failure> {
     }
 }
 
-/// The failure of an export that stopped.
-fn stopped(error: ExportError) -> Failure {
-    let exit = match error {
-        ExportError::Occupied(_) => Exit::Usage,
-        ExportError::Write(_) => Exit::Failure,
-    };
-    Failure::new(exit, error)
-}
-
 /// The wanted triggers, all of which must be there.
-fn chosen_triggers(wanted: Option<&Range<u64>>, all: Range<u64>) -> Result<Range<u64>, Failure> {
+pub(super) fn chosen_triggers(wanted: Option<&Range<u64>>, all: Range<u64>) -> Result<Range<u64>, Failure> {
     match wanted {
         None => Ok(all),
         Some(wanted) if wanted.start >= all.start && wanted.end <= all.end => Ok(wanted.clone()),

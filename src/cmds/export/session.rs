@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody export` of a session: frames and times.
 
-use super::{Args, Target, chosen_cameras, chosen_triggers, stopped};
+use super::{Args, Target, chosen_cameras, chosen_triggers};
 use crate::base::Exit;
 use crate::base::ids::CameraId;
 use crate::base::write_whole;
@@ -13,10 +13,12 @@ use crate::export::inputs;
 use crate::export::ptp::PtpTime;
 use crate::export::timing::{self, Rows};
 use crate::record::SessionReader;
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
 use std::ops::Range;
 use std::path::Path;
 
-/// Frames and times.
+/// Exports frames and times of a session.
 pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
     let usage = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, e);
     if args.mesh.is_some() || !args.clouds.is_empty() || args.quantize.is_some() {
@@ -42,8 +44,7 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
             cameras: cameras.clone(),
         };
         let progress = Progress::of("exporting", "frames");
-        let made = frames::run(&session, &plan, |done, total| progress.at(done, total));
-        frames = Some(made.map_err(stopped)?);
+        frames = Some(frames::run(&session, &plan, |done, total| progress.at(done, total))?);
     }
     let csv = args.to.contains(&Target::Csv);
     let ptp = if csv { PtpTime::of(&session) } else { PtpTime::default() };
@@ -53,7 +54,7 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
         None => 0,
     };
     report(args, &session, frames.as_ref(), rows, edges, &ptp);
-    // Whoever chose among the cameras asked for nothing else.
+    // With --cameras, what cannot be read may be of others.
     let damaged = (lost && args.cameras.is_empty())
         || frames.as_ref().is_some_and(|frames| !frames.problems.is_empty())
         || rows.is_some_and(|rows| rows.damaged > 0);
@@ -66,16 +67,17 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
     })
 }
 
-/// Refuses more frames than the recordings have room to tell anything of: a number in a small file would otherwise become a
-/// large one.
+/// Refuses more frames than the recordings have room for: a false number in a small file would otherwise make a large
+/// one.
 fn check_extent(
     session: &SessionReader,
     path: &Path,
     triggers: &Range<u64>,
     cameras: usize,
 ) -> Result<(), Failure> {
-    // A gap has a record of more bytes; so many frames are no burden, whatever is lost of a recording.
+    // A gap record has more bytes than this.
     const BYTES_EACH: u64 = 8;
+    // This number of frames is no burden, whatever is lost of a recording.
     const ALWAYS: u64 = 1 << 20;
     let segments = session.recordings().iter().flat_map(|recording| &recording.segments);
     let bytes: u64 = segments.map(|segment| segment.length() as u64).sum();
@@ -100,33 +102,37 @@ fn write_timing(
     cameras: &[CameraId],
     ptp: &PtpTime,
 ) -> Result<Rows, Failure> {
-    let path = args.out.join("timing.csv");
-    let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
-    std::fs::create_dir_all(&args.out).map_err(fail)?;
     let mut rows = Rows::default();
-    write_whole(&path, |file| {
-        let mut out = std::io::BufWriter::new(file);
-        rows = timing::write(&mut out, session, triggers, cameras, ptp)?;
-        std::io::Write::flush(&mut out)
-    })
-    .map_err(fail)?;
+    write_table(args, "timing.csv", |out| {
+        rows = timing::write(out, session, triggers, cameras, ptp)?;
+        Ok(())
+    })?;
     Ok(rows)
 }
 
 /// How many edges came on the HSU's inputs; their table, if there are any.
 fn write_inputs(args: &Args, session: &SessionReader) -> Result<usize, Failure> {
     let edges = inputs::edges(session);
-    if edges.is_empty() {
-        return Ok(0);
+    if !edges.is_empty() {
+        write_table(args, "inputs.csv", |out| inputs::write(out, session, &edges))?;
     }
-    let path = args.out.join("inputs.csv");
-    write_whole(&path, |file| {
-        let mut out = std::io::BufWriter::new(file);
-        inputs::write(&mut out, session, &edges)?;
-        std::io::Write::flush(&mut out)
-    })
-    .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", path.display())))?;
     Ok(edges.len())
+}
+
+fn write_table(
+    args: &Args,
+    name: &str,
+    write: impl FnOnce(&mut BufWriter<&mut File>) -> io::Result<()>,
+) -> Result<(), Failure> {
+    let path = args.out.join(name);
+    let written = std::fs::create_dir_all(&args.out).and_then(|()| {
+        write_whole(&path, |file| {
+            let mut out = BufWriter::new(file);
+            write(&mut out)?;
+            out.flush()
+        })
+    });
+    written.map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", path.display())))
 }
 
 fn report(
@@ -164,7 +170,8 @@ fn report(
         println!("timing.csv: {frames} frames, {gaps} gaps, {damaged} damaged");
         if let Some(witness) = ptp.witnesses.first() {
             println!(
-                "PTP time by {}, {:.1} us before its stamps, to {:.1} us besides what PTP itself leaves open; {} cameras agree",
+                "PTP time by {}, {:.1} us before its stamps, to {:.1} us besides what PTP itself leaves \
+                 open; {} cameras agree",
                 witness.camera,
                 witness.delay_ns as f64 / 1e3,
                 witness.open_ns as f64 / 1e3,

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A reconstruction whose session or results are in an object store: staged in a scratch directory, run there, sent back.
+//! A reconstruction whose session or results are in an object store: staged in a scratch directory, run there, sent
+//! back.
 
 use super::{Args, What};
 use crate::base::ids::CameraId;
@@ -29,7 +30,7 @@ fn failed(error: impl std::fmt::Display) -> Failure {
     Failure::new(Exit::Failure, error)
 }
 
-/// The same run finds what it has left; another never does.
+/// A name that the same run finds again, and that no other run has.
 fn name_of(args: &Args) -> String {
     let what = &args.what;
     let options = what.options(what.triggers.as_ref().unwrap_or(&(0..u64::MAX)));
@@ -106,9 +107,9 @@ impl Staged {
     /// Whether the run reads a frame.
     fn reads(&self, args: &Args, camera: &CameraId, trigger: u64) -> bool {
         let (i, n) = args.shard.unwrap_or((0, 1));
-        let asked = args.what.triggers.as_ref().is_none_or(|triggers| triggers.contains(&trigger));
+        let chosen = args.what.triggers.as_ref().is_none_or(|triggers| triggers.contains(&trigger));
         let named = args.what.cameras.is_empty() || args.what.cameras.iter().any(|c| c == camera.as_str());
-        args.collect.is_none() && asked && named && trigger % n.max(1) == i
+        args.collect.is_none() && chosen && named && trigger % n.max(1) == i
     }
 
     fn fetch_results(&self, args: &Args, remote: &Remote, out: &Path) -> Result<BTreeSet<String>, Failure> {
@@ -120,7 +121,7 @@ impl Staged {
         results::fetch(remote, out, &wanted, &named).map_err(failed)
     }
 
-    /// The files that speak of the others.
+    /// Sends the files that list the others: summary and sequence.
     fn send_summary(&self, args: &Args, remote: &Remote, what: &What) -> Result<(), Failure> {
         let sequence = what.out.join("sequence.mcap");
         let summary = summary_path(&what.out, args.shard);

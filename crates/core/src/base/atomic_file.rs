@@ -12,10 +12,11 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// How temporary names end.
+/// The end of the names of files that are not complete yet.
 const SUFFIX: &str = ".partial";
 
-/// Temporary files that nobody has written to for so long belong to a process that was killed.
+/// A temporary file that has not been written to for this time belongs to a process that was killed: no writer pauses
+/// for an hour.
 pub const STALE: Duration = Duration::from_secs(3600);
 
 /// Writes a file so that what has its name is complete and on the medium. The file is also open for reading.
@@ -32,7 +33,7 @@ pub fn write_whole_cached(path: &Path, write: impl FnOnce(&mut File) -> io::Resu
     write_with(path, write)
 }
 
-/// As [`write_whole`], unless something has the name already: then that stays, and the answer is `false`.
+/// As [`write_whole`], unless a file has the name already: then that file stays, and the answer is `false`.
 pub fn write_new(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<bool> {
     let partial = partial_name(path)?;
     let file = File::options().write(true).create_new(true).open(&partial);
@@ -64,8 +65,8 @@ fn write_with(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> i
     written
 }
 
-/// Removes what killed processes have left in a directory: temporary files that are older than `age`. A writer whose file
-/// is taken away all the same fails, and damages nothing.
+/// Removes what killed processes have left in a directory: temporary files that are older than `age`. A writer that
+/// still runs after that time fails when it renames its file, and damages nothing.
 pub fn remove_stale(directory: &Path, age: Duration) -> io::Result<usize> {
     let mut removed = 0;
     for entry in std::fs::read_dir(directory)? {

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! How a device's clock runs against the host's, from exchanges and from one-way reports.
 //!
-//! An exchange says one thing for certain: the device's clock showed its reading somewhere between the sending of
+//! An exchange proves one thing: the device's clock showed its reading somewhere between the sending of
 //! the question and the arrival of the answer. Over a window every exchange is thus a lower and an upper bound on
-//! a straight line (offset and skew), and a report that was merely heard is an upper bound. Delays only ever add,
+//! a straight line (offset and skew), and a report without a question is an upper bound. Delays only ever add,
 //! so the line is looked for between the bounds, not through their middles: the fastest question and the fastest
 //! answer count, even when they belong to different exchanges. (Cf. Moon, Skelly and Towsley, "Estimation and
 //! removal of clock skew from network delay measurements", INFOCOM 1999, who do this for one direction.)
-//! What no method can see is a difference between the two directions that is always there; half of it is an
-//! error that remains, and it is part of the stated uncertainty.
+//! No method can measure a constant difference between the delays of the two directions: half of it remains as an
+//! error, and it is part of the stated uncertainty.
 
 use std::collections::VecDeque;
 
@@ -23,10 +23,10 @@ pub struct Exchange {
     pub device_ns: u64,
 }
 
-/// What became of an exchange.
+/// How the fit has taken an exchange.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Judged {
-    /// It agrees with the fit, and the fit knows of it.
+    /// It agrees with the fit, and its bounds are in the fit now.
     Used,
     /// It cannot be explained by its round trip and the fit's uncertainty; left out.
     LeftOut,
@@ -38,20 +38,21 @@ pub enum Judged {
     },
 }
 
-/// Bounds are kept for this long, ns of the device's clock.
+/// Length of the window of which bounds are kept, ns of the device's clock: a rate changes little within a minute.
 const WINDOW_NS: i64 = 60_000_000_000;
-/// Of each stretch of this length the tightest bounds are kept.
+/// Length of a sub-window, ns: of each, only the tightest bounds are kept, so that a fit holds at most 120 of each
+/// kind.
 const SUB_WINDOW_NS: i64 = 500_000_000;
 /// No clock runs faster or slower than the host's by more: crystals stay within 100 ppm, a host whose clock is
 /// being slewed within 500.
 const SKEW_LIMIT: f64 = 500e-6;
-/// Skews are about this large.
+/// The skew to expect before anything is measured: crystals differ from their nominal rate by about this much.
 const LIKELY_SKEW: f64 = 100e-6;
-/// How fast a rate may change unseen: a bound is believed this much less for each ns of its age.
+/// How fast a rate may change without being measured: a bound is widened by this for each ns of its age.
 const WANDER: f64 = 0.5e-6;
-/// Clocks are read with this error at least, ns.
+/// The least error of reading a clock, ns: no contradiction below it is one.
 const READING_NS: f64 = 1_000.0;
-/// So many contradictions in a row are a reset.
+/// This number of contradictions in a row is a reset: fewer may be packets that were delayed.
 pub const RESET_RUN: usize = 3;
 /// After one-way reports the line is drawn anew at most this often, ns.
 const REDRAW_NS: f64 = 250e6;
@@ -69,7 +70,7 @@ struct SubWindow {
     number: i64,
     lower: Option<Bound>,
     upper: Option<Bound>,
-    /// How many the tightest was chosen from.
+    /// The number of bounds that the tightest ones were chosen from.
     lowers: u32,
     uppers: u32,
     round_trip: Option<f64>,
@@ -86,7 +87,10 @@ struct Line {
     drawn_at: f64,
 }
 
-/// A device's clock against the host's.
+/// A device's clock against the host's. Whoever reads the device's clock makes a fit and gives it every exchange and
+/// every report; from the second reading on it converts times of one clock to the other, with an uncertainty that it
+/// states. It ends with the link to the device; where the device's clock is set meanwhile, it begins anew by itself
+/// ([`Judged::Reset`]).
 #[derive(Debug, Default)]
 pub struct ClockFit {
     /// Device and host time from which all else is measured.
@@ -94,7 +98,7 @@ pub struct ClockFit {
     windows: VecDeque<SubWindow>,
     line: Option<Line>,
     newest: f64,
-    /// It was seen at two readings.
+    /// Whether two readings differ: before that the clock may stand still.
     runs: bool,
     suspects: Vec<Exchange>,
     used: u64,
@@ -103,7 +107,7 @@ pub struct ClockFit {
 }
 
 impl ClockFit {
-    /// Without any knowledge.
+    /// A fit without any exchange.
     pub fn new() -> Self {
         Self::default()
     }
@@ -128,8 +132,8 @@ impl ClockFit {
         Judged::Used
     }
 
-    /// Takes a report into account that left the device at `device_ns` or later and was heard at
-    /// `host_receive_ns`: an upper bound, by the hundred each second.
+    /// Takes a report into account that left the device at `device_ns` or later and arrived at
+    /// `host_receive_ns`: an upper bound, some hundred of them each second.
     pub fn heard(&mut self, device_ns: u64, host_receive_ns: u64) {
         if self.origin.is_none() {
             return;
@@ -180,7 +184,7 @@ impl ClockFit {
         self.line.is_some()
     }
 
-    /// Exchanges that the fit knows of.
+    /// The number of exchanges whose bounds entered the fit.
     pub fn used(&self) -> u64 {
         self.used
     }
@@ -253,7 +257,8 @@ impl ClockFit {
             .map(move |b| Bound { y: b.y + WANDER * (newest - b.x), ..b })
     }
 
-    /// Draws the line anew; bounds that contradict each other lose their oldest. Returns whether none had to go.
+    /// Draws the line anew. Where bounds contradict each other, the oldest sub-windows are dropped until they do not;
+    /// the answer is whether none was dropped.
     fn draw(&mut self) -> bool {
         let mut complete = true;
         self.line = loop {
@@ -314,7 +319,8 @@ impl ClockFit {
         covariance / (variance + (spread / LIKELY_SKEW).powi(2)).max(f64::MIN_POSITIVE)
     }
 
-    /// The most likely line of those that keep all bounds, midway between them. A clock that was seen at one reading only may be standing still.
+    /// The most likely line of those that keep all bounds, midway between them. A clock that was seen at one reading
+    /// only may be standing still.
     fn between(&self, skew_min: f64, skew_max: f64) -> Option<Line> {
         if !self.runs {
             return None;

@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How a command ends, and why something failed: the exit code, and what was expected, found, and is to be done.
+//! How a command ends, and why something failed: the exit code, and a message of what was expected, what was found and
+//! what to do.
 
 use serde::{Deserialize, Serialize};
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// How a command ended (a contract with scripts).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Exit {
-    /// Done.
     Done = 0,
-    /// Any other failure.
+    /// Any failure that the other codes do not cover.
     Failure = 1,
-    /// Wrong usage or configuration.
     Usage = 2,
     /// Done, with data loss that is accounted for.
     DataLoss = 3,
@@ -23,7 +24,7 @@ pub enum Exit {
 }
 
 impl Exit {
-    /// The exit that a code of a fault means.
+    /// The exit of the code that a fault has.
     pub fn from_code(code: u8) -> Self {
         let known = [Self::Done, Self::Usage, Self::DataLoss, Self::Corrupt, Self::Device];
         known.into_iter().find(|exit| *exit as u8 == code).unwrap_or(Self::Failure)
@@ -37,8 +38,9 @@ impl From<Exit> for ExitCode {
 }
 
 /// Why something failed, with the exit code that it means on the command line.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[error("{message}")]
 pub struct Fault {
     /// As a process exit code.
     pub exit: u8,
@@ -50,5 +52,27 @@ impl Fault {
     /// A fault with this exit code.
     pub fn new(exit: Exit, message: impl ToString) -> Self {
         Self { exit: exit as u8, message: message.to_string() }
+    }
+}
+
+impl From<String> for Fault {
+    fn from(message: String) -> Self {
+        Self::new(Exit::Failure, message)
+    }
+}
+
+/// Why a file cannot be used: which one, what was expected of it and what was found.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {reason}", path.display())]
+pub struct FileError {
+    pub path: PathBuf,
+    /// What was expected, what was found, what to do.
+    pub reason: String,
+}
+
+impl FileError {
+    /// A function that makes a reason an error of this file.
+    pub fn of<E: Display>(path: &Path) -> impl Fn(E) -> Self + Copy + '_ {
+        |reason| Self { path: path.to_owned(), reason: reason.to_string() }
     }
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Histograms of durations that cost a few atomic additions a value: threads count while others look.
+//! Histograms of durations that cost a few atomic additions a value: threads count while others read.
 
 use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -7,7 +7,7 @@ use std::time::Duration;
 
 /// Classes per doubling: a quantile is at most an eighth too high.
 const PER_OCTAVE: u32 = 8;
-/// From 1 us to over an hour.
+/// The number of classes: from 1 us to over an hour.
 const CLASSES: usize = 32 * PER_OCTAVE as usize;
 
 /// Counts of durations in logarithmic classes.
@@ -22,11 +22,11 @@ pub struct Histogram {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Latency {
-    /// Half are not longer.
+    /// The median: half of the durations are not longer.
     pub p50_us: u64,
     /// 99 of 100 are not longer.
     pub p99_us: u64,
-    /// The longest.
+    /// The longest of all durations, exact.
     pub max_us: u64,
 }
 
@@ -38,7 +38,7 @@ impl Default for Histogram {
 }
 
 impl Histogram {
-    /// Counts one duration.
+    /// Counts one duration in its class.
     pub fn record(&self, duration: Duration) {
         let us = u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);
         self.counts[class(us)].fetch_add(1, Ordering::Relaxed);
@@ -46,22 +46,22 @@ impl Histogram {
         self.sum_us.fetch_add(us, Ordering::Relaxed);
     }
 
-    /// How many were counted.
+    /// The number of durations that were counted.
     pub fn count(&self) -> u64 {
         self.loaded().iter().sum()
     }
 
-    /// The sum of all, us.
+    /// The sum of all durations, us.
     pub fn sum_us(&self) -> u64 {
         self.sum_us.load(Ordering::Relaxed)
     }
 
-    /// The longest, us.
+    /// The longest duration so far, us.
     pub fn max_us(&self) -> u64 {
         self.max_ns.load(Ordering::Relaxed) / 1000
     }
 
-    /// The longest, ms.
+    /// The longest duration so far, ms.
     pub fn max_ms(&self) -> f64 {
         self.max_ns.load(Ordering::Relaxed) as f64 / 1e6
     }

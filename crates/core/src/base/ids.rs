@@ -33,7 +33,7 @@ macro_rules! name_type {
         }
 
         impl $name {
-            /// The name as text.
+            /// The name as it is written in files.
             pub fn as_str(&self) -> &str {
                 &self.0
             }
@@ -53,15 +53,16 @@ macro_rules! name_type {
     };
 }
 
-/// Characters of a name at most.
+/// The most characters of a name.
 pub const NAME_MAX: usize = 64;
-/// Characters of a subject or a note at most.
+/// The most characters of a subject or a note.
 pub const TEXT_MAX: usize = 4000;
 
-/// Whether a name may be read: letters, digits, `.`, `_`, `-` and spaces, 1 to 64, and none of the last four first.
+/// Whether a name is allowed: 1 to 64 letters, digits, `.`, `_`, `-` and spaces, of which `.`, `-` and a space may
+/// not be first.
 ///
 /// # Errors
-/// What it may not be.
+/// What was found, and what is allowed.
 pub fn check_name(text: &str) -> Result<(), String> {
     let allowed = |c: char| c.is_alphanumeric() || matches!(c, '.' | '_' | '-' | ' ');
     let first = |c: char| c.is_alphanumeric() || c == '_';
@@ -76,10 +77,10 @@ pub fn check_name(text: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// Whether a subject or a note may be taken: anything that can be printed on one line.
+/// Whether a subject or a note is allowed: any text that can be printed on one line.
 ///
 /// # Errors
-/// What it may not be.
+/// What was found, and what is allowed.
 pub fn check_text(what: &str, text: &str) -> Result<(), String> {
     let count = text.chars().count();
     if count > TEXT_MAX {
@@ -98,14 +99,14 @@ pub fn printable(text: &str) -> String {
     text.chars().map(|c| if is_control(c) { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }
 
-/// A text of somebody else's as one line of a list or a table: its lines one behind the other, and nothing that steers a
-/// terminal.
+/// A text of another program as one line of a list or a table: its lines one behind the other, without characters
+/// that control a terminal.
 pub fn one_line(text: impl fmt::Display) -> String {
     let lines = text.to_string();
     lines.lines().map(|line| printable(line.trim_end())).collect::<Vec<_>>().join("; ")
 }
 
-/// What moves a cursor, colours a terminal, ends a line, or turns the direction of writing.
+/// Whether a character moves a cursor, colours a terminal, ends a line, or changes the direction of writing.
 pub(super) fn is_control(c: char) -> bool {
     let turns =
         matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{200e}' | '\u{200f}' | '\u{61c}');
@@ -130,7 +131,7 @@ name_type! {
 }
 
 impl SessionName {
-    /// Accepts a name that is safe as a directory, or says why it is not.
+    /// Accepts a name that is safe as a directory; the error states why it is not.
     pub fn parse(text: &str) -> Result<Self, String> {
         let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-');
         if text.is_empty() || text.len() > 64 {
@@ -138,7 +139,8 @@ impl SessionName {
         }
         if text.starts_with(['.', '-']) || !text.chars().all(allowed) {
             return Err(format!(
-                "session name {text:?} may hold only letters, digits, '.', '_' and '-', and may not start with '.' or '-'"
+                "session name {text:?} may hold only letters, digits, '.', '_' and '-', and may not start \
+                 with '.' or '-'"
             ));
         }
         Ok(Self(text.to_owned()))

@@ -3,10 +3,10 @@
 //!
 //! Pixel (u, v): u is the column, v the row, integers at pixel centres.
 
-use super::regular;
+use super::{FileError, regular};
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// An owned plane of `width * height` values, row-major without padding.
 #[derive(Debug, Default)]
@@ -35,7 +35,7 @@ impl<T: Copy> Plane<T> {
         Self { width, height, data: vec![value; width * height] }
     }
 
-    /// A plane whose value at column u, row v is `value(u, v)`, asked for row after row.
+    /// A plane whose value at column u, row v is `value(u, v)`, called row after row.
     pub fn from_fn(width: usize, height: usize, mut value: impl FnMut(usize, usize) -> T) -> Self {
         let rows = (0..height).flat_map(|v| (0..width).map(move |u| (u, v)));
         Self { width, height, data: rows.map(|(u, v)| value(u, v)).collect() }
@@ -60,7 +60,8 @@ impl<T: Copy> Plane<T> {
         self.data.resize(width * height, value);
     }
 
-    /// Makes it a plane of this size whose values are any: those that it had, or `value`. For stages that write all.
+    /// Makes it a plane of this size with arbitrary values (those that it had, or `value`), for stages that write all
+    /// of them.
     pub fn reshape(&mut self, width: usize, height: usize, value: T) {
         (self.width, self.height) = (width, height);
         if self.data.len() < width * height {
@@ -68,20 +69,20 @@ impl<T: Copy> Plane<T> {
         }
     }
 
-    /// Makes room for so many values, where there is less. What it holds is lost then. Where `value` is 0 the system gives
-    /// memory only as it is written to.
+    /// Makes room for this number of values, where there is less. What it holds is lost then. Where `value` is 0 the
+    /// system gives memory only as it is written to.
     pub fn reserve(&mut self, values: usize, value: T) {
         if self.data.len() < values {
             *self = Self { width: 0, height: 0, data: vec![value; values] };
         }
     }
 
-    /// Columns.
+    /// The number of columns in a row.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
+    /// The number of rows of the plane.
     pub fn height(&self) -> usize {
         self.height
     }
@@ -96,12 +97,12 @@ impl<T: Copy> Plane<T> {
         &mut self.data[..self.width * self.height]
     }
 
-    /// Row `v`.
+    /// The values of row `v`, by column.
     pub fn row(&self, v: usize) -> &[T] {
         &self.data[v * self.width..(v + 1) * self.width]
     }
 
-    /// Row `v`.
+    /// The values of row `v`, by column, to be changed.
     pub fn row_mut(&mut self, v: usize) -> &mut [T] {
         &mut self.data[v * self.width..(v + 1) * self.width]
     }
@@ -131,12 +132,12 @@ impl<'a> Mono8<'a> {
         (data.len() == width * height).then_some(Self { width, height, data })
     }
 
-    /// Columns.
+    /// The number of columns in a row.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Rows.
+    /// The number of rows of the image.
     pub fn height(&self) -> usize {
         self.height
     }
@@ -146,7 +147,7 @@ impl<'a> Mono8<'a> {
         self.data
     }
 
-    /// Row `v`.
+    /// The pixels of row `v`, by column.
     pub fn row(&self, v: usize) -> &'a [u8] {
         &self.data[v * self.width..(v + 1) * self.width]
     }
@@ -158,58 +159,32 @@ impl<'a> From<&'a Plane<u8>> for Mono8<'a> {
     }
 }
 
-/// Why a PNG could not be used.
-#[derive(Debug, thiserror::Error)]
-pub enum PngError {
-    /// The file could not be opened or read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The file is not an intact PNG.
-    #[error("{path}: not a readable PNG ({source}); expected an 8-bit grey PNG")]
-    Decode {
-        /// The file.
-        path: PathBuf,
-        /// What the decoder said.
-        source: png::DecodingError,
-    },
-    /// The PNG holds another kind of pixel.
-    #[error("{path}: expected 8-bit grey pixels, found {found}; convert it to 8-bit grey first")]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// Colour type and bit depth found.
-        found: String,
-    },
-}
-
 /// No camera has more pixels.
 const PIXELS_MAX: usize = 1 << 28;
 
 /// Reads an 8-bit grey PNG.
-pub fn read_png_grey(path: &Path) -> Result<Plane<u8>, PngError> {
-    let io_error = |source| PngError::Io { path: path.to_owned(), source };
-    let decode_error = |source| PngError::Decode { path: path.to_owned(), source };
-    let file = regular::open(path).map_err(io_error)?;
-    let length = file.metadata().map_err(io_error)?.len();
+pub fn read_png_grey(path: &Path) -> Result<Plane<u8>, FileError> {
+    let decode_error = |source: png::DecodingError| {
+        FileError::of(path)(format!("not a readable PNG ({source}); expected an 8-bit grey PNG"))
+    };
+    let format_error = |found: String| {
+        let message = format!("expected 8-bit grey pixels, found {found}; convert it to 8-bit grey first");
+        Err(FileError::of(path)(message))
+    };
+    let file = regular::open(path).map_err(FileError::of(path))?;
+    let length = file.metadata().map_err(FileError::of(path))?.len();
     let mut reader = png::Decoder::new(BufReader::new(file)).read_info().map_err(decode_error)?;
     let info = reader.info();
     let (width, height) = (info.width as usize, info.height as usize);
     if info.color_type != png::ColorType::Grayscale || info.bit_depth != png::BitDepth::Eight {
-        let found = format!("{:?} {:?}", info.color_type, info.bit_depth);
-        return Err(PngError::Format { path: path.to_owned(), found });
+        return format_error(format!("{:?} {:?}", info.color_type, info.bit_depth));
     }
     // Deflate makes at most 1032 bytes of one: a file that announces more claims memory for what it does not hold.
     let pixels = width
         .checked_mul(height)
         .filter(|pixels| *pixels <= PIXELS_MAX && *pixels as u64 <= length.saturating_mul(1032));
     let Some(pixels) = pixels else {
-        let found = format!("{width} x {height} of them in {length} bytes");
-        return Err(PngError::Format { path: path.to_owned(), found });
+        return format_error(format!("{width} x {height} of them in {length} bytes"));
     };
     let mut data = vec![0; pixels];
     reader.next_frame(&mut data).map_err(decode_error)?;

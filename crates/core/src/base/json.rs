@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! JSON that somebody else has written: an object is an object.
+//! JSON that another program has written: an object is an object.
 //!
 //! The types of this program are read by field name. What is derived for them also takes a list of their fields in
 //! order, and fills up what the list lacks: `[]` is then a remark without a rating, or the wish for a capture. Here a
@@ -9,8 +9,10 @@ use serde::de::{
     DeserializeOwned, DeserializeSeed, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess, Visitor,
 };
 use std::fmt;
+use std::io::Write;
+use std::path::Path;
 
-/// A value that was read so.
+/// A value that was read in this way.
 #[derive(Debug)]
 pub struct Strict<T>(pub T);
 
@@ -36,7 +38,17 @@ pub fn from_value<T: DeserializeOwned>(value: serde_json::Value) -> serde_json::
     serde_json::from_value(value).map(|Strict(value)| value)
 }
 
-/// Around whatever takes part in reading: it passes everything on, and asks for an object where fields are expected.
+/// Writes a value as a JSON file for people, which is never half there.
+///
+/// # Errors
+/// What could not be written; it names the file.
+pub fn save(path: &Path, value: &impl serde::Serialize) -> Result<(), String> {
+    let failed = |e: &dyn fmt::Display| format!("{}: {e}", path.display());
+    let text = serde_json::to_string_pretty(value).map_err(|e| failed(&e))?;
+    super::write_whole(path, |file| writeln!(file, "{text}")).map_err(|e| failed(&e))
+}
+
+/// A wrapper of every part of a deserializer: it forwards all calls, but requests a map where a structure is expected.
 struct Objects<T>(T);
 
 macro_rules! pass_on {
@@ -194,7 +206,7 @@ impl<'de, A: VariantAccess<'de>> VariantAccess<'de> for Objects<A> {
     }
 }
 
-/// The fields of a variant.
+/// Reads the fields of a variant as a map.
 struct Fields<V>(V);
 
 impl<'de, V: Visitor<'de>> DeserializeSeed<'de> for Fields<V> {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The one way to open a file that somebody else may have made: a regular file, of a bounded size, without waiting.
+//! The one way to open a file that another program may have made: a regular file, of a bounded size, without waiting.
 //!
-//! Sessions, results and archives lie in directories that others may write to. Whatever has the name there, a device
-//! without an end, a pipe that nobody writes to, a socket or a file of a terabyte of nothing, costs no memory and no
+//! Sessions, results and archives lie in directories that others may write to. Whatever has the name there (a device
+//! without an end, a pipe without a writer, a socket, a sparse file of a terabyte), opening it costs no memory and no
 //! time. `tests/it/architecture.rs` keeps the program from opening files in another way.
 
 use std::fs::{File, FileType, OpenOptions};
@@ -10,13 +10,13 @@ use std::io::{self, Read};
 use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::Path;
 
-/// What a text that people write has at most, bytes: configurations, artwork, lists.
+/// The most bytes of a text that people write: configurations, artwork, lists.
 pub const TEXT_BYTES: u64 = 4 << 20;
 
-/// What a program writes about a session or a calibration has at most, bytes: jobs, states, keys, calibrations.
+/// The most bytes of what a program writes about a session or a calibration: jobs, states, keys, calibrations.
 pub const STATEMENT_BYTES: u64 = 64 << 20;
 
-/// What is written about every frame of a session has at most, bytes: summaries, timings. A million frames take 200 MB.
+/// The most bytes of what is written about every frame of a session: summaries, timings. A million frames take 200 MB.
 pub const SUMMARY_BYTES: u64 = 1 << 30;
 
 /// Opens a regular file, or a link to one, for reading.
@@ -35,7 +35,8 @@ pub fn append(path: &Path, mode: u32) -> io::Result<File> {
     open_with(path, OpenOptions::new().append(true).create(true).mode(mode))
 }
 
-/// Makes a file anew; what had its name has lost it, and no byte: a link may have led to a recording.
+/// Makes a new file in place of what has the name. A file that a link of this name led to keeps its bytes: it may be
+/// a recording.
 ///
 /// # Errors
 /// What the system reports; a directory stays.
@@ -47,7 +48,7 @@ pub fn create(path: &Path) -> io::Result<File> {
     File::create_new(path)
 }
 
-/// Opens a regular file in order to lock it, or makes one; what it holds stays.
+/// Opens a regular file in order to lock it, or makes one; its bytes stay.
 ///
 /// # Errors
 /// As [`open`].
@@ -70,7 +71,8 @@ pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     if length > most {
         return Err(too_large(length.to_string()));
     }
-    // A file of holes costs its maker nothing and its reader everything. The best compression of a text is a tenth of that.
+    // A sparse file takes no room on the disk, and all of the reader's memory. A file system that compresses needs at
+    // least a tenth of a text's length, so that the limit of a 256th spares its files.
     let held = metadata.blocks().saturating_mul(512);
     if length > 1 << 20 && held.saturating_mul(256) < length {
         let message =
@@ -103,7 +105,7 @@ fn open_with(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         Err(error) => return Err(error),
     }
-    // A pipe that has taken the name meanwhile has nobody at its other end, and is not waited for.
+    // A pipe may have taken the name meanwhile: opening it without O_NONBLOCK would wait for a writer.
     let file = options.custom_flags(libc::O_NONBLOCK | libc::O_NOCTTY).open(path)?;
     expect_regular(file.metadata()?.file_type())?;
     Ok(file)
@@ -160,18 +162,18 @@ mod tests {
     fn what_is_no_regular_file_is_refused_by_name_and_not_waited_for() {
         let dir = tempfile::tempdir().expect("a directory");
         for (path, what) in none_of_them(dir.path()) {
-            let told = |result: io::Result<()>| {
+            let refused = |result: io::Result<()>| {
                 let error = result.expect_err("no file").to_string();
                 assert!(
                     error.contains("expected a regular file") && error.contains(what),
                     "{path:?}: {error}"
                 );
             };
-            told(open(&path).map(drop));
-            told(read(&path, 10).map(drop));
-            told(read_text(&path, 10).map(drop));
-            told(append(&path, 0o600).map(drop));
-            told(lock_file(&path).map(drop));
+            refused(open(&path).map(drop));
+            refused(read(&path, 10).map(drop));
+            refused(read_text(&path, 10).map(drop));
+            refused(append(&path, 0o600).map(drop));
+            refused(lock_file(&path).map(drop));
         }
         assert_eq!(open(&dir.path().join("none")).expect_err("nothing").kind(), io::ErrorKind::NotFound);
     }

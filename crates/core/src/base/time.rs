@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The host's two clocks, in nanoseconds: one for the record, one for measuring.
+//! The host's two clocks, in nanoseconds: the time of day for recordings, a monotonic one for measuring.
 
 use std::sync::OnceLock;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// CLOCK_REALTIME since 1970, ns: what recordings call host time. It may jump; only people compare it.
+/// CLOCK_REALTIME since 1970, ns: what recordings call host time. It may jump, so that no decision of the program
+/// rests on it.
 pub fn host_time_ns() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
@@ -21,7 +22,7 @@ pub fn day(ns: u64) -> String {
     format!("{}-{month:02}-{day:02}", era * 400 + year_of_era + u64::from(month <= 2))
 }
 
-/// The host's clock of one session: CLOCK_REALTIME asked once, CLOCK_MONOTONIC since. A step of the wall clock
+/// The host's clock of one session: CLOCK_REALTIME read once, CLOCK_MONOTONIC since. A step of the wall clock
 /// during the session does not reach it.
 #[derive(Debug, Clone, Copy)]
 pub struct HostClock {
@@ -29,7 +30,7 @@ pub struct HostClock {
 }
 
 impl HostClock {
-    /// Asks for the time of day.
+    /// Reads the time of day, once.
     pub fn start() -> Self {
         let now = i128::from(monotonic_ns(Instant::now()));
         Self { realtime_minus_monotonic_ns: i128::from(host_time_ns()) - now }
@@ -52,7 +53,7 @@ impl HostClock {
 
     /// The host time of a reading of CLOCK_REALTIME that was made a moment ago, ns: only its age counts.
     ///
-    /// A thread that stands still in between makes it later, never earlier: an arrival errs towards late only.
+    /// A thread that is suspended in between makes it later, never earlier: an arrival errs towards late only.
     pub fn from_recent_realtime(&self, ns: u64) -> u64 {
         let age_ns = host_time_ns().saturating_sub(ns);
         self.now().saturating_sub(age_ns)

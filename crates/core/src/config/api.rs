@@ -5,8 +5,8 @@ use super::section::Section;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-/// `[api]`.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// How a node can be reached: `[api]` of its file.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ApiConfig {
     /// A Unix socket for local users.
     pub socket: Option<SocketConfig>,
@@ -14,13 +14,13 @@ pub struct ApiConfig {
     pub listen: Option<SocketAddr>,
     /// Certificate and key of the TCP side.
     pub tls: Option<TlsConfig>,
-    /// A network gets plain text: somebody else encrypts, or nobody does.
+    /// Whether a network may get plain text: another program encrypts, or none does.
     pub plain_text_on_network: bool,
     /// Names under which browsers and programs reach the TCP side, each with or without a port.
     pub hosts: Vec<String>,
-    /// Who may do what; without it everybody who can connect may do everything.
+    /// The file of tokens with their roles; without it every program that can connect may do everything.
     pub tokens: Option<PathBuf>,
-    /// Every change of state is written down here.
+    /// The log of all requests that change something.
     pub audit: PathBuf,
     /// The other nodes, as this one reaches them.
     pub peers: Vec<PeerConfig>,
@@ -29,51 +29,35 @@ pub struct ApiConfig {
 /// A Unix socket, mode 0660.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SocketConfig {
-    /// Where it is.
     pub path: PathBuf,
     /// The group that may connect; by default that of the process.
     pub group: Option<String>,
 }
 
-/// PEM files.
+/// Certificate and private key of the TCP side, as PEM files.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TlsConfig {
     /// The certificate, followed by the ones that vouch for it.
     pub certificate: PathBuf,
-    /// Its private key; nobody but its owner may read it.
+    /// Its private key, which only its owner may read.
     pub key: PathBuf,
 }
 
-/// Another node.
+/// Another node of the rig, as this one reaches it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PeerConfig {
     /// Its name in the rig.
     pub name: String,
-    /// Its API.
+    /// `http://HOST:PORT`, `https://HOST:PORT` or `unix:/PATH` of its API.
     pub url: String,
     /// The secret that this node shows it.
     pub token_file: Option<PathBuf>,
-    /// Whom to believe that it is the other node (PEM).
+    /// The certificate of the authority that signed its certificate (PEM).
     pub ca: Option<PathBuf>,
 }
 
-impl Default for ApiConfig {
-    fn default() -> Self {
-        Self {
-            socket: None,
-            listen: None,
-            tls: None,
-            plain_text_on_network: false,
-            hosts: Vec::new(),
-            tokens: None,
-            audit: PathBuf::from("audit.jsonl"),
-            peers: Vec::new(),
-        }
-    }
-}
-
 impl ApiConfig {
-    /// Whether anybody but this machine can connect.
+    /// Whether other machines can connect.
     pub fn is_on_network(&self) -> bool {
         self.listen.is_some_and(|address| !address.ip().is_loopback())
     }
@@ -86,7 +70,8 @@ pub(super) fn read_api(section: Section<'_>, base: &Path, audit_default: Option<
         .map(|path| SocketConfig { path, group: section.has("group").then(|| section.text("group")) });
     let listen = section.has("listen").then(|| read_listen(&section)).flatten();
     if socket.is_none() && !section.has("listen") {
-        section.problem("", "expected `socket`, `listen` or both: nobody could reach the node");
+        section
+            .problem("", "expected `socket`, `listen` or both: without them no program can reach the node");
     }
     if socket.is_none() && section.has("group") {
         section.problem("group", "is the group of `socket`, which is not given");
@@ -122,20 +107,26 @@ fn read_listen(section: &Section<'_>) -> Option<SocketAddr> {
     address
 }
 
-/// A network is dangerous: what is open to it must be asked for.
+/// A network is dangerous: the file must state what is open to it.
 fn check_network(section: &Section<'_>, config: &ApiConfig) {
     let Some(address) = config.listen else { return };
     if config.is_on_network() {
         if config.tokens.is_none() {
             section.problem(
                 "listen",
-                format!("{address} is reachable from a network, expected a loopback address, or authentication by `tokens` (see `fourdbody token --help`)"),
+                format!(
+                    "{address} is reachable from a network, expected a loopback address, or \
+                     authentication by `tokens` (see `fourdbody token --help`)"
+                ),
             );
         }
         if config.tls.is_none() && !config.plain_text_on_network {
             section.problem(
                 "tls",
-                format!("is missing: {address} is reachable from a network; give certificate and key, or ask for plain text with plain_text_on_network = true"),
+                format!(
+                    "is missing: {address} is reachable from a network; give certificate and key, or \
+                     ask for plain text with plain_text_on_network = true"
+                ),
             );
         }
     }
@@ -150,17 +141,11 @@ fn check_network(section: &Section<'_>, config: &ApiConfig) {
 }
 
 fn read_hosts(section: &Section<'_>) -> Vec<String> {
-    let mut hosts = Vec::new();
-    for (i, value) in section.list("hosts").iter().enumerate() {
-        let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | ':' | '[' | ']');
-        match value.as_str().filter(|text| !text.is_empty() && text.chars().all(plain)) {
-            Some(text) => hosts.push(text.to_ascii_lowercase()),
-            None => {
-                section.problem(&format!("hosts[{i}]"), format!("expected NAME or NAME:PORT, found {value}"))
-            }
-        }
-    }
-    hosts
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | ':' | '[' | ']');
+    section.each("hosts", "NAME or NAME:PORT", |value| {
+        let text = value.as_str().filter(|text| !text.is_empty() && text.chars().all(is_plain))?;
+        Some(text.to_ascii_lowercase())
+    })
 }
 
 fn read_peers(section: &Section<'_>, base: &Path) -> Vec<PeerConfig> {

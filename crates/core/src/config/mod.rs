@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Configuration files, read and validated with all problems at once.
 //!
-//! Two files: the rig (`rig.toml`: heads, pattern, board, nominal geometry; the same on every machine) and
-//! the node (`node-X.toml`: what one acquisition PC needs). Both go through [`Section`], which notes every
-//! problem under its key path, so that a user repairs a file in one go.
+//! Three files: the rig (`rig.toml`: heads, pattern, board, nominal geometry; the same on every machine), the node
+//! (`node-X.toml`: what one acquisition PC needs) and the worker (`worker.toml`). All go through [`Section`], which
+//! notes every problem under its key path, so that a user can repair a file at once.
 
 mod api;
 mod node;
@@ -20,13 +20,14 @@ pub use node::{
     WhenFull,
 };
 pub use pixel::{Mosaic, Pixel};
-pub use rig::{Board, Channel, Head, NominalDevice, Rig, RigCamera};
+pub use rig::{Board, Channel, Head, Rig, RigCamera};
 pub use section::Section;
-pub use trigger::{ActionConfig, TriggerSource};
+pub use trigger::{ACTION_COMMANDS, ActionConfig, TriggerSource};
 pub use words::{AUTO, CameraWords, Edge, FEATURES_OF_WORDS, PacketDelay, word_of};
 pub use worker::{Order, Output, WorkerConfig, WorkerNode};
 
 use crate::base::regular;
+use std::cell::RefCell;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -52,9 +53,8 @@ impl fmt::Display for Problem {
 /// A configuration file that cannot be used, with everything that is wrong in it.
 #[derive(Debug, Clone)]
 pub struct ConfigError {
-    /// The file.
     pub path: PathBuf,
-    /// At least one.
+    /// All that is wrong in it: at least one problem.
     pub problems: Vec<Problem>,
 }
 
@@ -86,4 +86,12 @@ fn parse_table(text: &str, path: &Path) -> Result<toml::Table, ConfigError> {
 /// A problem with a whole file.
 fn as_a_whole(path: &Path, message: String) -> ConfigError {
     ConfigError { path: path.to_owned(), problems: vec![Problem { key: String::new(), message }] }
+}
+
+/// The value that `read` makes of a file's outermost table, or all problems that it noted.
+fn read_all<T>(table: &toml::Table, read: impl FnOnce(Section<'_>) -> Option<T>) -> Result<T, Vec<Problem>> {
+    let problems = RefCell::default();
+    let config = read(Section::root(table, &problems));
+    let problems = problems.into_inner();
+    config.filter(|_| problems.is_empty()).ok_or(problems)
 }

@@ -3,15 +3,14 @@
 //! (`node-X.toml`).
 
 use super::api::{ApiConfig, read_api};
-use super::rig::{Head, Rig};
+use super::rig::{Head, Rig, RigCamera};
 use super::section::Section;
 use super::trigger::{TriggerSource, read_trigger};
 use super::words::{CameraWords, read_settings, word_of};
-use super::{ConfigError, Problem, parse_table, read_table};
+use super::{ConfigError, parse_table, read_all, read_table};
 use crate::base::ids::{CameraId, NodeId};
 use crate::base::regular;
 use serde::{Deserialize, Serialize};
-use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::fmt;
 use std::net::IpAddr;
@@ -23,13 +22,13 @@ use std::time::Duration;
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(untagged)]
 pub enum FeatureValue {
-    /// For booleans.
+    /// The value of a boolean feature.
     Flag(bool),
-    /// For integers.
+    /// The value of an integer feature.
     Integer(i64),
-    /// For floats.
+    /// The value of a float feature.
     Float(f64),
-    /// For enumerations and texts.
+    /// The value of an enumeration or a text.
     Text(String),
 }
 
@@ -68,20 +67,20 @@ pub struct CameraConfig {
     pub id: CameraId,
     /// Aravis device id or IP address.
     pub address: String,
-    /// What is said in the node file's own words, its own before the common ones.
+    /// Its settings by the node file's own words; those of `[[camera]]` stand before those of `[acquisition]`.
     pub words: CameraWords,
-    /// Raw settings, the common ones first: set in this order after what the words say, and read back.
+    /// Raw settings, the common ones first: set in this order after those by words, and read back.
     pub settings: Vec<FeatureSetting>,
 }
 
-/// How Aravis receives packets.
+/// Which kind of socket Aravis receives packets by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum SocketMode {
     /// A packet socket where the process may open one (CAP_NET_RAW), an ordinary UDP socket otherwise.
     Auto,
-    /// An ordinary UDP socket.
+    /// An ordinary UDP socket, in any case.
     Standard,
 }
 
@@ -108,7 +107,7 @@ pub enum WhenFull {
     Stop,
 }
 
-/// What the threads of the pixel path ask of the system (`[realtime]`); what it refuses is a warning.
+/// What the threads of the pixel path request of the system (`[realtime]`); a refusal is a warning.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Realtime {
     /// Priority under SCHED_FIFO, 1 to 99; 0: an ordinary thread.
@@ -134,18 +133,16 @@ pub struct QuickLookConfig {
     pub frame_sets: usize,
 }
 
-/// The node.
+/// The configuration of a node: what its file states, and the rig that the file names.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeConfig {
     /// Its name in the rig.
     pub node: NodeId,
-    /// The rig.
     pub rig: Rig,
     /// The rig file's text, kept word for word in every recording.
     pub rig_text: String,
     /// How the control API is reached.
     pub api: ApiConfig,
-    /// Where triggers come from.
     pub trigger: TriggerSource,
     /// Sessions are directories below this one.
     pub sessions_dir: PathBuf,
@@ -153,11 +150,9 @@ pub struct NodeConfig {
     pub reserve_bytes: u64,
     /// A segment is closed at the first trigger after this many bytes.
     pub segment_bytes: u64,
-    /// Frame buffers per camera.
     pub buffers_per_camera: usize,
     /// GVSP packet size (IP packet), bytes.
     pub packet_bytes: u32,
-    /// How packets are received.
     pub socket: SocketMode,
     /// Before arming no camera may send for this long; zero lets free-running cameras pass.
     pub silence_gate: Duration,
@@ -189,13 +184,9 @@ impl NodeConfig {
     }
 
     fn of(table: &toml::Table, path: &Path) -> Result<Self, ConfigError> {
-        let problems = RefCell::default();
-        let config = read_node(Section::root(table, &problems), path.parent().unwrap_or(Path::new(".")));
-        let problems: Vec<Problem> = problems.into_inner();
-        match config {
-            Some(config) if problems.is_empty() => Ok(config),
-            _ => Err(ConfigError { path: path.to_owned(), problems }),
-        }
+        let base = path.parent().unwrap_or(Path::new("."));
+        read_all(table, |root| read_node(root, base))
+            .map_err(|problems| ConfigError { path: path.to_owned(), problems })
     }
 
     /// Whether frames must be those of the HSU's triggers: without a silence gate cameras may run by themselves.
@@ -204,10 +195,11 @@ impl NodeConfig {
     }
 }
 
+/// The only version of node files so far.
 const FORMAT: u64 = 1;
 const MIB: u64 = 1 << 20;
 
-/// `[acquisition]`.
+/// The values of `[acquisition]`, which all cameras share.
 struct Acquisition {
     buffers_per_camera: usize,
     packet_bytes: u32,
@@ -256,7 +248,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         section.finish();
         values
     });
-    // Beside what it is about, unless configured otherwise.
+    // The log lies beside the sessions, unless configured otherwise.
     let audit = storage.as_ref().map(|(sessions_dir, ..)| sessions_dir.join("audit.jsonl"));
     let api = root.section("api").map(|section| read_api(section, base, audit));
     let acquisition = root.section("acquisition").map(read_acquisition);
@@ -321,14 +313,9 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
 }
 
 fn read_realtime(section: Section<'_>) -> Realtime {
-    let mut cpus = Vec::new();
-    for (i, value) in section.list("cpus").iter().enumerate() {
-        match value.as_integer().and_then(|cpu| usize::try_from(cpu).ok()).filter(|cpu| *cpu < 1024) {
-            Some(cpu) => cpus.push(cpu),
-            None => section
-                .problem(&format!("cpus[{i}]"), format!("expected a core's number from 0, found {value}")),
-        }
-    }
+    let cpus = section.each("cpus", "a core's number from 0", |value| {
+        usize::try_from(value.as_integer()?).ok().filter(|cpu| *cpu < 1024)
+    });
     let priority = section.integer_or("priority", 0..=99, 0);
     let lock_memory = section.flag_or("lock_memory", true);
     section.finish();
@@ -342,7 +329,7 @@ fn read_camera(section: Section<'_>, common: Option<&Acquisition>) -> CameraConf
     let mut settings = read_settings(&section, &own, common.map(|common| &common.words));
     let mut words = own;
     if let Some(common) = common {
-        // What a camera says of itself stands above what is said of all.
+        // What `[[camera]]` states replaces what is stated for all cameras.
         let unsaid =
             |setting: &&FeatureSetting| word_of(&setting.feature).is_none_or(|word| !section.has(word));
         settings = common.settings.iter().filter(unsaid).cloned().chain(settings).collect();
@@ -365,23 +352,21 @@ fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[Ca
         if !addresses.insert(&camera.address) {
             root.problem(&format!("camera[{i}].address"), format!("{} is used twice", camera.address));
         }
-        if !rig.cameras_of(node).any(|(_, known)| known.id == camera.id) {
+        let known = rig.cameras().find(|(_, known)| known.id == camera.id);
+        if known.is_none_or(|(_, known)| known.node != *node) {
             let message = format!("{} is not a camera of node {node} in the rig", camera.id);
             root.problem(&format!("camera[{i}].id"), message);
         }
-        let known = rig.cameras().find(|(_, known)| known.id == camera.id).map(|(_, known)| &known.device);
-        for (word, said, of_rig) in [
-            ("width", camera.words.width, known.map(|device| device.width)),
-            ("height", camera.words.height, known.map(|device| device.height)),
-        ] {
-            if let (Some(said), Some(of_rig)) = (said, of_rig)
-                && usize::try_from(said) != Ok(of_rig)
+        if let Some((head, RigCamera { device, .. })) = known {
+            for (word, stated, of_rig) in
+                [("width", camera.words.width, device.width), ("height", camera.words.height, device.height)]
             {
-                let message = format!("is {said} for {}, expected the {of_rig} of the rig file", camera.id);
-                root.problem(&format!("camera[{i}].{word}"), message);
+                if let Some(stated) = stated.filter(|stated| usize::try_from(*stated) != Ok(of_rig)) {
+                    let message =
+                        format!("is {stated} for {}, expected the {of_rig} of the rig file", camera.id);
+                    root.problem(&format!("camera[{i}].{word}"), message);
+                }
             }
-        }
-        if let Some((head, _)) = rig.cameras().find(|(_, known)| known.id == camera.id) {
             check_exposure(root, rig, head, i, camera);
         }
         if camera.address.starts_with(|c: char| c.is_ascii_digit())
@@ -400,11 +385,11 @@ fn check_against_rig(root: &Section<'_>, rig: &Rig, node: &NodeId, cameras: &[Ca
 /// Features whose value is an exposure in microseconds.
 const EXPOSURES_US: [&str; 2] = ["ExposureTime", "ExposureTimeAbs"];
 
-/// An exposure that is said, in a word or as a raw setting, ends within the trigger period.
+/// An exposure, by word or as a raw setting, must end within the trigger period.
 fn check_exposure(root: &Section<'_>, rig: &Rig, head: &Head, i: usize, camera: &CameraConfig) {
     let limit_us = head.exposure_limit_us(rig.trigger_rate_hz);
     let own = root.list("camera").get(i).and_then(toml::Value::as_table);
-    let said = |key: &str| own.is_some_and(|table| table.contains_key(key));
+    let stated = |key: &str| own.is_some_and(|table| table.contains_key(key));
     let listed = |feature: &str| {
         let settings = own.and_then(|table| table.get("settings")).and_then(toml::Value::as_array);
         settings.is_some_and(|list| {
@@ -415,7 +400,7 @@ fn check_exposure(root: &Section<'_>, rig: &Rig, head: &Head, i: usize, camera: 
         true => format!("camera[{i}].{key}"),
         false => format!("acquisition.{key}"),
     };
-    let word = camera.words.exposure_us.map(|us| (in_place(said("exposure_us"), "exposure_us"), us));
+    let word = camera.words.exposure_us.map(|us| (in_place(stated("exposure_us"), "exposure_us"), us));
     let raw = camera.settings.iter().filter(|setting| EXPOSURES_US.contains(&setting.feature.as_str()));
     let raw = raw.filter_map(|setting| {
         let us = match setting.value {
@@ -427,7 +412,8 @@ fn check_exposure(root: &Section<'_>, rig: &Rig, head: &Head, i: usize, camera: 
     });
     for (key, us) in word.into_iter().chain(raw).filter(|(_, us)| *us >= limit_us) {
         let message = format!(
-            "an exposure of {us} us for {}, expected less than {limit_us:.1} us: behind the delay of head {} it must end within \
+            "an exposure of {us} us for {}, expected less than {limit_us:.1} us: behind the delay of head \
+             {} it must end within \
              the trigger period of {:.1} us ({} Hz), or the camera takes every second trigger only",
             camera.id,
             head.id,
@@ -478,7 +464,7 @@ mod tests {
                 ..CameraWords::default()
             }
         );
-        // Common settings come first; one that a word of the camera's own says is left out.
+        // Common settings come first; one that a word of the camera itself replaces is left out.
         let settings: Vec<String> =
             camera.settings.iter().map(|s| format!("{} {}", s.feature, s.value)).collect();
         assert_eq!(settings, ["LineSelector Line0", "LineSelector Line1"]);
@@ -494,27 +480,27 @@ mod tests {
     }
 
     #[test]
-    fn an_exposure_beyond_the_trigger_period_is_refused_wherever_it_is_said() {
+    fn an_exposure_beyond_the_trigger_period_is_refused_wherever_it_stands() {
         const COMMON: &str = "[acquisition]\n";
         const OWN: &str = "id = \"h0_low\"\n";
         const LEFT: &str =
             "left_to_settings = [\"exposure_us\"]\nsettings = [[\"ExposureTimeAbs\", 17000.0]]\n";
         assert_eq!(problems(str::to_owned), [""; 0]);
-        let said = |place: &str, words: &str| {
+        let stated = |place: &str, words: &str| {
             problems(|text| {
                 let others = text.lines().filter(|line| place != COMMON || !line.starts_with("exposure_us"));
                 let text: String = others.map(|line| format!("{line}\n")).collect();
                 text.replace(place, &format!("{place}{words}"))
             })
         };
-        assert_eq!(said(COMMON, "exposure_us = 8133.0\n"), [""; 0]);
+        assert_eq!(stated(COMMON, "exposure_us = 8133.0\n"), [""; 0]);
         for (place, words, keys) in [
             (COMMON, "exposure_us = 8134.0\n", vec!["acquisition.exposure_us"; 4]),
             (OWN, "exposure_us = 17000\n", vec!["camera[1].exposure_us"]),
             (OWN, LEFT, vec!["camera[1].settings"]),
             (COMMON, LEFT, vec!["acquisition.settings"; 4]),
         ] {
-            let found = said(place, words);
+            let found = stated(place, words);
             assert_eq!(found.len(), keys.len(), "{found:#?}");
             for (line, key) in found.iter().zip(keys) {
                 assert!(line.starts_with(key) && line.contains("every second trigger"), "{line}");
@@ -531,14 +517,14 @@ mod tests {
         // Left for all cameras, and by none.
         assert_eq!(read(left, &format!("{OWN}{list}")).1, [""; 0]);
         assert_eq!(read("", &format!("{OWN}{list}")).1, ["settings[0]"]);
-        // One that says it itself leaves it to no list.
+        // A camera that states the word itself does not leave it to a list.
         let (camera, problems) = read(&format!("{left}{list}"), &format!("{OWN}trigger_edge = \"falling\""));
         assert_eq!(problems, [""; 0]);
         assert!(camera.settings.is_empty() && camera.words.left_to_settings.is_empty(), "{camera:?}");
     }
 
     #[test]
-    fn words_that_are_wrong_or_said_twice_are_problems_with_key_paths() {
+    fn words_that_are_wrong_or_there_twice_are_problems_with_key_paths() {
         let own = format!(
             "{OWN}trigger_edge = \"up\"\nexposure_us = -1\npixel = \"rgb8\"\npacket_delay_us = \"soon\"\n\
              left_to_settings = [\"colour\", \"gain_db\"]\ngain_db = 0\nexposure = 5\n\

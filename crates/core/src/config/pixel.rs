@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Pixel {
-    /// 8 bits.
     #[default]
     Mono8,
     /// 10 bits, four pixels in five bytes.
@@ -28,32 +27,31 @@ pub enum Pixel {
     Mono12,
     /// 14 bits in two bytes.
     Mono14,
-    /// 16 bits.
     Mono16,
-    /// 8 bits behind a mosaic of filters: of two columns and rows the pixels of one colour are taken, at half the size. Which
-    /// pixels these are follows from what the camera calls it.
+    /// 8 bits behind a mosaic of filters: of two columns and rows the pixels of one colour are taken, at half the
+    /// size. Which pixels these are follows from what the camera calls it.
     Bayer8(Mosaic),
 }
 
 /// The colours of a mosaic's first row and second row, from the left.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Mosaic {
-    /// Green, red; blue, green.
+    /// Green and red, below them blue and green.
     GR,
-    /// Red, green; green, blue.
+    /// Red and green, below them green and blue.
     #[default]
     RG,
-    /// Green, blue; red, green.
+    /// Green and blue, below them red and green.
     GB,
-    /// Blue, green; green, red.
+    /// Blue and green, below them green and red.
     BG,
 }
 
 impl Mosaic {
-    /// All of them.
     pub const ALL: [Self; 4] = [Self::GR, Self::RG, Self::GB, Self::BG];
 
-    /// Column and row of a colour among two by two pixels. Of the two greens it is that of the first row.
+    /// Column and row, 0 or 1, of a colour in each square of two by two pixels. Of the two greens it is that of the
+    /// first row.
     pub fn place(self, channel: Channel) -> (usize, usize) {
         let first = match self {
             Self::GR => [Channel::G, Channel::R],
@@ -69,8 +67,38 @@ impl Mosaic {
     }
 }
 
+/// The names and the depth of a form of a pixel.
+struct Form {
+    pixel: Pixel,
+    word: &'static str,
+    name: &'static str,
+    code: u32,
+    depth: usize,
+}
+
+const fn form(pixel: Pixel, word: &'static str, name: &'static str, code: u32, depth: usize) -> Form {
+    Form { pixel, word, name, code, depth }
+}
+
+const FORMS: [Form; 13] = [
+    form(Pixel::Mono8, "mono8", "Mono8", 0x0108_0001, 8),
+    form(Pixel::Mono10p, "mono10p", "Mono10p", 0x010a_0046, 10),
+    form(Pixel::Mono10Packed, "mono10packed", "Mono10Packed", 0x010c_0004, 10),
+    form(Pixel::Mono12p, "mono12p", "Mono12p", 0x010c_0047, 12),
+    form(Pixel::Mono12Packed, "mono12packed", "Mono12Packed", 0x010c_0006, 12),
+    form(Pixel::Mono10, "mono10", "Mono10", 0x0110_0003, 10),
+    form(Pixel::Mono12, "mono12", "Mono12", 0x0110_0005, 12),
+    form(Pixel::Mono14, "mono14", "Mono14", 0x0110_0025, 14),
+    form(Pixel::Mono16, "mono16", "Mono16", 0x0110_0007, 16),
+    form(Pixel::Bayer8(Mosaic::GR), "bayer8", "BayerGR8", 0x0108_0008, 8),
+    form(Pixel::Bayer8(Mosaic::RG), "bayer8", "BayerRG8", 0x0108_0009, 8),
+    form(Pixel::Bayer8(Mosaic::GB), "bayer8", "BayerGB8", 0x0108_000a, 8),
+    form(Pixel::Bayer8(Mosaic::BG), "bayer8", "BayerBG8", 0x0108_000b, 8),
+];
+
 impl Pixel {
-    /// Those of grey, in the order in which a camera's is chosen: 8 bits, then by bytes, then by depth.
+    /// The grey forms, in the order in which one is chosen of those that a camera has: 8 bits first, then by bytes,
+    /// then by depth.
     pub const GREY: [Self; 9] = [
         Self::Mono8,
         Self::Mono10p,
@@ -83,92 +111,51 @@ impl Pixel {
         Self::Mono16,
     ];
 
+    fn form(self) -> &'static Form {
+        FORMS.iter().find(|form| form.pixel == self).unwrap_or(&FORMS[0])
+    }
+
     /// Its word in a node file.
     pub fn word(self) -> &'static str {
-        match self {
-            Self::Mono8 => "mono8",
-            Self::Mono10p => "mono10p",
-            Self::Mono10Packed => "mono10packed",
-            Self::Mono12p => "mono12p",
-            Self::Mono12Packed => "mono12packed",
-            Self::Mono10 => "mono10",
-            Self::Mono12 => "mono12",
-            Self::Mono14 => "mono14",
-            Self::Mono16 => "mono16",
-            Self::Bayer8(_) => "bayer8",
-        }
+        self.form().word
     }
 
     /// Its name, as cameras and the PFNC write it.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Mono8 => "Mono8",
-            Self::Mono10p => "Mono10p",
-            Self::Mono10Packed => "Mono10Packed",
-            Self::Mono12p => "Mono12p",
-            Self::Mono12Packed => "Mono12Packed",
-            Self::Mono10 => "Mono10",
-            Self::Mono12 => "Mono12",
-            Self::Mono14 => "Mono14",
-            Self::Mono16 => "Mono16",
-            Self::Bayer8(Mosaic::GR) => "BayerGR8",
-            Self::Bayer8(Mosaic::RG) => "BayerRG8",
-            Self::Bayer8(Mosaic::GB) => "BayerGB8",
-            Self::Bayer8(Mosaic::BG) => "BayerBG8",
-        }
+        self.form().name
     }
 
-    /// Its code in a leader.
+    /// Its code in the leader of a GVSP frame.
     pub fn code(self) -> u32 {
-        match self {
-            Self::Mono8 => 0x0108_0001,
-            Self::Mono10p => 0x010a_0046,
-            Self::Mono10Packed => 0x010c_0004,
-            Self::Mono12p => 0x010c_0047,
-            Self::Mono12Packed => 0x010c_0006,
-            Self::Mono10 => 0x0110_0003,
-            Self::Mono12 => 0x0110_0005,
-            Self::Mono14 => 0x0110_0025,
-            Self::Mono16 => 0x0110_0007,
-            Self::Bayer8(Mosaic::GR) => 0x0108_0008,
-            Self::Bayer8(Mosaic::RG) => 0x0108_0009,
-            Self::Bayer8(Mosaic::GB) => 0x0108_000a,
-            Self::Bayer8(Mosaic::BG) => 0x0108_000b,
-        }
+        self.form().code
     }
 
-    /// Bits of its value.
+    /// Bits of its value, 8 to 16.
     pub fn depth(self) -> usize {
-        match self {
-            Self::Mono8 | Self::Bayer8(_) => 8,
-            Self::Mono10p | Self::Mono10Packed | Self::Mono10 => 10,
-            Self::Mono12p | Self::Mono12Packed | Self::Mono12 => 12,
-            Self::Mono14 => 14,
-            Self::Mono16 => 16,
-        }
+        self.form().depth
     }
 
-    /// Bits that it takes of a row.
+    /// Bits of a row that a pixel takes, with its padding.
     pub fn bits(self) -> usize {
         (self.code() >> 16 & 0xff) as usize
     }
 
-    /// Bytes of so many pixels. Of the formats that pack them, rows that end within a byte are refused before.
+    /// Bytes of this number of pixels. Where a format packs pixels, rows that end within a byte are refused earlier.
     pub fn bytes(self, pixels: usize) -> usize {
         (pixels * self.bits()).div_ceil(8)
     }
 
-    /// Columns, and rows, of the camera's image for one of the recording's.
+    /// Columns of the camera's image for each column of the recording, and likewise rows: 2 behind a mosaic, else 1.
     pub fn step(self) -> usize {
         if matches!(self, Self::Bayer8(_)) { 2 } else { 1 }
     }
 
-    /// Bytes that a camera sends for an image of so many columns and rows of the recording.
+    /// Bytes that a camera sends for a recorded image of this width and height.
     pub fn sent_bytes(self, (width, height): (usize, usize)) -> usize {
         self.bytes(width * height * self.step() * self.step())
     }
 
-    /// Columns of whose multiples rows end with a byte.
+    /// Rows of a multiple of this number of columns end with a whole byte.
     pub fn columns_step(self) -> usize {
         match self.bits() {
             10 => 4,

@@ -2,61 +2,53 @@
 //! The rig, described once: heads, channels, nodes, pattern, board and the nominal geometry (`rig.toml`).
 
 use super::section::Section;
-use super::{ConfigError, Problem, read_table};
+use super::{ConfigError, Problem, read_all, read_table};
 use crate::base::ids::{CameraId, HeadId, NodeId};
 use crate::geometry::pattern::{Marker, Pattern};
 use crate::geometry::{Device, Fringes, Lens, Pose, look_at};
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
-use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::path::Path;
 
 /// The colour channel that a head projects and that its cameras' filters pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Channel {
-    /// Red (LED).
+    /// Red, the light of an LED.
     R,
-    /// Green (laser).
+    /// Green, the light of a laser.
     G,
-    /// Blue (laser).
+    /// Blue, the light of a laser.
     B,
 }
-
-/// A device as the drawing of the rig has it, before any calibration.
-pub type NominalDevice = Device;
 
 /// One camera of a head.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RigCamera {
-    /// Unique in the rig.
     pub id: CameraId,
     /// The acquisition PC that it is wired to.
     pub node: NodeId,
-    /// Nominal geometry.
-    pub device: NominalDevice,
+    /// Lens and pose by the drawing, before any calibration.
+    pub device: Device,
 }
 
-/// One directional measurement head.
+/// One directional measurement head: a projector and its cameras.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Head {
-    /// Unique in the rig.
     pub id: HeadId,
-    /// Its colour channel.
     pub channel: Channel,
     /// Exposure starts this long after the projector's frame sync, ns.
     pub delay_ns: u64,
-    /// Exposure window, ns.
+    /// Length of the exposure window, ns.
     pub exposure_ns: u64,
     /// Nominal geometry of the projector.
-    pub projector: NominalDevice,
-    /// Its cameras.
+    pub projector: Device,
     pub cameras: Vec<RigCamera>,
 }
 
 impl Head {
-    /// An exposure must be shorter than this, us: behind its delay it ends within the trigger period. With a longer one a
-    /// camera takes every second trigger.
+    /// An exposure must be shorter than this, us, so that it ends within the trigger period after its delay. With a
+    /// longer one a camera ignores every second trigger.
     pub fn exposure_limit_us(&self, trigger_rate_hz: f64) -> f64 {
         exposure_limit_us(self.delay_ns as f64 / 1000.0, trigger_rate_hz)
     }
@@ -69,15 +61,15 @@ fn exposure_limit_us(delay_us: f64, trigger_rate_hz: f64) -> f64 {
 /// The calibration board: black circles in rows and columns on white; a few larger ones give the orientation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Board {
-    /// Along board x, m.
+    /// Size of the board along its x axis, m.
     pub width_m: f64,
-    /// Along board y, m.
+    /// Size of the board along its y axis, m.
     pub height_m: f64,
     /// Distance between neighbouring centres, m.
     pub pitch_m: f64,
-    /// Circles along x.
+    /// The number of circles along x.
     pub columns: usize,
-    /// Circles along y.
+    /// The number of circles along y.
     pub rows: usize,
     /// Radius of an ordinary circle, m.
     pub radius_m: f64,
@@ -87,22 +79,20 @@ pub struct Board {
     pub large: Vec<[usize; 2]>,
 }
 
-/// The rig.
+/// The rig as its file describes it: heads, volume, pattern and board.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Rig {
     /// Names the rig in recordings and calibrations.
     pub name: String,
-    /// Triggers per second.
     pub trigger_rate_hz: f64,
-    /// Triggers before trigger 0 of every session, for cameras that need some to wake up; their frames are not recorded.
+    /// Triggers before trigger 0 of every session, for cameras that need some to wake up; their frames are not
+    /// recorded.
     pub warm_up_triggers: u32,
     /// Lower corner of the working volume, world, m.
     pub volume_min_m: [f64; 3],
     /// Upper corner of the working volume, world, m.
     pub volume_max_m: [f64; 3],
-    /// What the projectors show.
     pub pattern: Pattern,
-    /// The calibration board.
     pub board: Board,
     /// In order around the volume: neighbours in this list (cyclic) are neighbours in space.
     pub heads: Vec<Head>,
@@ -117,10 +107,7 @@ impl Rig {
 
     /// Validates a parsed rig file; on failure every problem found.
     pub fn from_table(table: &toml::Table) -> Result<Self, Vec<Problem>> {
-        let problems = RefCell::default();
-        let rig = read_rig(Section::root(table, &problems));
-        let problems = problems.into_inner();
-        if problems.is_empty() { Ok(rig) } else { Err(problems) }
+        read_all(table, read_rig)
     }
 
     /// Loads a rig file, and checks that what it records can be reconstructed: recording itself needs no geometry.
@@ -165,22 +152,26 @@ impl Rig {
     }
 }
 
+/// The only version of rig files so far.
 const FORMAT: u64 = 1;
 
-fn read_rig(root: Section<'_>) -> Rig {
+fn read_rig(root: Section<'_>) -> Option<Rig> {
     root.integer("format", FORMAT..=FORMAT);
     let name = root.text("name");
     let trigger_rate_hz = root.number("trigger_rate_hz", 0.1..=1000.0);
     let warm_up_triggers = root.integer_or("warm_up_triggers", 0..=1000, 8) as u32;
     let (volume_min_m, volume_max_m) = root.section("volume").map_or(([0.0; 3], [0.0; 3]), read_volume);
-    let pattern = root.section("pattern").map_or_else(placeholder_pattern, read_pattern);
-    let board = root.section("board").map_or_else(placeholder_board, read_board);
+    let pattern = root.section("pattern").map(read_pattern);
+    let board = root.section("board").map(read_board);
     let heads: Vec<Head> = root.sections("head").into_iter().map(|s| read_head(s, trigger_rate_hz)).collect();
     check_unique(&root, &heads);
     check_channels(&root, &heads);
-    check_marker_on_panel(&root, &pattern, &heads);
+    if let Some(pattern) = &pattern {
+        check_marker_on_panel(&root, pattern, &heads);
+    }
     root.finish();
-    Rig { name, trigger_rate_hz, warm_up_triggers, volume_min_m, volume_max_m, pattern, board, heads }
+    let (pattern, board) = (pattern?, board?);
+    Some(Rig { name, trigger_rate_hz, warm_up_triggers, volume_min_m, volume_max_m, pattern, board, heads })
 }
 
 fn read_volume(section: Section<'_>) -> ([f64; 3], [f64; 3]) {
@@ -191,20 +182,6 @@ fn read_volume(section: Section<'_>) -> ([f64; 3], [f64; 3]) {
     }
     section.finish();
     (min, max)
-}
-
-fn placeholder_pattern() -> Pattern {
-    let marker = Marker::ZeroMean { amplitude: 0.0 };
-    Pattern {
-        period_px: 1.0,
-        marker_index: 0,
-        marker_every: 0,
-        marker,
-        marker_period_px: 1.0,
-        low: 0.0,
-        high: 1.0,
-        gamma: 1.0,
-    }
 }
 
 fn read_pattern(section: Section<'_>) -> Pattern {
@@ -233,19 +210,6 @@ fn read_pattern(section: Section<'_>) -> Pattern {
     pattern
 }
 
-fn placeholder_board() -> Board {
-    Board {
-        width_m: 0.0,
-        height_m: 0.0,
-        pitch_m: 0.0,
-        columns: 0,
-        rows: 0,
-        radius_m: 0.0,
-        large_radius_m: 0.0,
-        large: Vec::new(),
-    }
-}
-
 fn read_board(section: Section<'_>) -> Board {
     let mut board = Board {
         width_m: section.number("width_m", 0.01..=10.0),
@@ -257,19 +221,12 @@ fn read_board(section: Section<'_>) -> Board {
         large_radius_m: section.number("large_radius_m", 0.0005..=0.5),
         large: Vec::new(),
     };
-    for (i, value) in section.list("large").iter().enumerate() {
-        let pair = value.as_array().and_then(|pair| match pair.as_slice() {
-            [a, b] => Some([usize::try_from(a.as_integer()?).ok()?, usize::try_from(b.as_integer()?).ok()?]),
-            _ => None,
-        });
-        match pair.filter(|[column, row]| *column < board.columns && *row < board.rows) {
-            Some(pair) => board.large.push(pair),
-            None => section.problem(
-                &format!("large[{i}]"),
-                format!("expected [column, row] of a circle on the board, found {value}"),
-            ),
-        }
-    }
+    board.large = section.each("large", "[column, row] of a circle on the board", |value| {
+        let [column, row] = value.as_array()?.as_slice() else { return None };
+        let pair = [column, row].map(|x| x.as_integer().and_then(|x| usize::try_from(x).ok()));
+        let pair = [pair[0]?, pair[1]?];
+        (pair[0] < board.columns && pair[1] < board.rows).then_some(pair)
+    });
     if board.large_radius_m * 2.0 > board.pitch_m && section.problem_free() {
         section.problem("large_radius_m", "circles of this radius overlap at this pitch");
     }
@@ -286,7 +243,8 @@ fn read_head(section: Section<'_>, trigger_rate_hz: f64) -> Head {
         section.problem(
             "exposure_us",
             format!(
-                "delay and exposure together take {} us, expected less than the trigger period of {:.1} us ({trigger_rate_hz} Hz)",
+                "delay and exposure together take {} us, expected less than the trigger period of {:.1} us \
+                 ({trigger_rate_hz} Hz)",
                 delay_us + exposure_us,
                 1e6 / trigger_rate_hz
             ),
@@ -406,7 +364,7 @@ mod tests {
         assert!(rig.cameras().all(|(_, c)| (c.device.width, c.device.height) == (1920, 1200)));
     }
 
-    /// What is said of the fringes of the shipped rig, changed; by camera.
+    /// The problems of the fringes of the shipped rig, changed; by camera.
     fn fringes(change: impl Fn(String) -> String) -> Vec<String> {
         let rig = Rig::from_table(&change(shipped()).parse().expect("TOML")).expect("a rig to record with");
         rig.unusable_fringes().iter().map(ToString::to_string).collect()
@@ -444,16 +402,16 @@ mod tests {
             found.iter().all(|line| line.contains("along the line from camera to projector")),
             "{found:#?}"
         );
-        for (from, to, said) in [
+        for (from, to, text) in [
             ("focal_px = 2048.0", "focal_px = 341.0", "of 4 to 40 px in the image"),
             ("\nperiod_px = 8.0", "\nperiod_px = 64.0", "of 4 to 40 px in the image"),
             ("marker_period_px = 8.0", "marker_period_px = 64.0", ""),
         ] {
             let found =
                 fringes(|text| text.replace(from, to).replace("marker_index = 80", "marker_index = 9"));
-            let right = |line: &String| line.contains(said) && line.contains("a period of 4 to 40 px");
+            let right = |line: &String| line.contains(text) && line.contains("a period of 4 to 40 px");
             assert!(found.iter().all(right), "{found:#?}");
-            assert_eq!(found.len(), if said.is_empty() { 0 } else { 8 }, "{found:#?}");
+            assert_eq!(found.len(), if text.is_empty() { 0 } else { 8 }, "{found:#?}");
         }
     }
 

@@ -5,7 +5,7 @@
 //! throws it away when any problem was noted.
 
 use super::Problem;
-use crate::base::ids::{one_line, printable};
+use crate::base::ids::{check_name, one_line, printable};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
@@ -20,7 +20,7 @@ pub struct Section<'a> {
 }
 
 impl<'a> Section<'a> {
-    /// The file's outermost table.
+    /// The outermost table of a file, as a section.
     pub fn root(table: &'a Table, problems: &'a RefCell<Vec<Problem>>) -> Self {
         Self { table, path: String::new(), seen: RefCell::default(), problems }
     }
@@ -36,7 +36,7 @@ impl<'a> Section<'a> {
 
     /// Notes a problem at `key` (empty: at this table).
     pub fn problem(&self, key: &str, message: impl Into<String>) {
-        // A key is whatever somebody has put between quotation marks.
+        // A key between quotation marks may hold any character.
         let (key, message) = (one_line(self.path_of(key)), one_line(message.into()));
         self.problems.borrow_mut().push(Problem { key, message });
     }
@@ -51,12 +51,25 @@ impl<'a> Section<'a> {
         self.table.get(key)
     }
 
-    fn required(&self, key: &'static str, expected: &str) -> Option<&'a Value> {
+    /// The value at `key` as `take` has it. Where the key is missing: `default`, without which that is a problem;
+    /// `placeholder` stands in after a problem.
+    fn read<T>(
+        &self,
+        key: &'static str,
+        expected: &str,
+        default: Option<T>,
+        placeholder: T,
+        take: impl FnOnce(&'a Value) -> Option<T>,
+    ) -> T {
         let value = self.get(key);
-        if value.is_none() {
+        if value.is_none() && default.is_none() {
             self.problem(key, format!("is missing, expected {expected}"));
         }
-        value
+        let Some(value) = value else { return default.unwrap_or(placeholder) };
+        take(value).unwrap_or_else(|| {
+            self.wrong(key, expected, value);
+            placeholder
+        })
     }
 
     fn wrong(&self, key: &str, expected: &str, found: &Value) {
@@ -70,151 +83,117 @@ impl<'a> Section<'a> {
 
     /// A required number within `range`; whole numbers are accepted.
     pub fn number(&self, key: &'static str, range: RangeInclusive<f64>) -> f64 {
-        let expected = format!("a number from {} to {}", range.start(), range.end());
-        self.required(key, &expected).map_or(0.0, |value| self.number_of(key, value, &range, &expected))
+        self.number_of(key, &range, None)
     }
 
     /// An optional number within `range`.
     pub fn number_or(&self, key: &'static str, range: RangeInclusive<f64>, default: f64) -> f64 {
-        let expected = format!("a number from {} to {}", range.start(), range.end());
-        self.get(key).map_or(default, |value| self.number_of(key, value, &range, &expected))
+        self.number_of(key, &range, Some(default))
     }
 
-    fn number_of(&self, key: &str, value: &Value, range: &RangeInclusive<f64>, expected: &str) -> f64 {
-        let number = value.as_float().or_else(|| value.as_integer().map(|i| i as f64));
-        match number.filter(|x| range.contains(x)) {
-            Some(x) => x,
-            None => {
-                self.wrong(key, expected, value);
-                0.0
-            }
-        }
+    fn number_of(&self, key: &'static str, range: &RangeInclusive<f64>, default: Option<f64>) -> f64 {
+        let expected = format!("a number from {} to {}", range.start(), range.end());
+        self.read(key, &expected, default, 0.0, |value| number(value).filter(|x| range.contains(x)))
     }
 
     /// A required whole number within `range`.
     pub fn integer(&self, key: &'static str, range: RangeInclusive<u64>) -> u64 {
-        let expected = format!("a whole number from {} to {}", range.start(), range.end());
-        self.required(key, &expected).map_or(0, |value| self.integer_of(key, value, &range, &expected))
+        self.integer_of(key, &range, None)
     }
 
     /// An optional whole number within `range`.
     pub fn integer_or(&self, key: &'static str, range: RangeInclusive<u64>, default: u64) -> u64 {
+        self.integer_of(key, &range, Some(default))
+    }
+
+    fn integer_of(&self, key: &'static str, range: &RangeInclusive<u64>, default: Option<u64>) -> u64 {
         let expected = format!("a whole number from {} to {}", range.start(), range.end());
-        self.get(key).map_or(default, |value| self.integer_of(key, value, &range, &expected))
+        let whole = |value: &Value| value.as_integer().and_then(|i| u64::try_from(i).ok());
+        self.read(key, &expected, default, 0, |value| whole(value).filter(|i| range.contains(i)))
     }
 
-    fn integer_of(&self, key: &str, value: &Value, range: &RangeInclusive<u64>, expected: &str) -> u64 {
-        match value.as_integer().and_then(|i| u64::try_from(i).ok()).filter(|i| range.contains(i)) {
-            Some(i) => i,
-            None => {
-                self.wrong(key, expected, value);
-                0
-            }
-        }
-    }
-
-    /// A required non-empty text.
+    /// A required text on one line, which is not empty.
     pub fn text(&self, key: &'static str) -> String {
-        self.required(key, "a text").map_or_else(String::new, |value| self.text_of(key, value))
+        let is_plain = |text: &&str| !text.is_empty() && printable(text) == **text;
+        let Some(value) = self.get(key) else {
+            self.problem(key, "is missing, expected a text");
+            return String::new();
+        };
+        let text = value.as_str().filter(is_plain).map(str::to_owned);
+        text.unwrap_or_else(|| {
+            self.wrong(key, "a text on one line, which is not empty", value);
+            String::new()
+        })
     }
 
-    /// A required name, as [`crate::base::ids::check_name`] wants it.
+    /// A required name, as [`check_name`] wants it.
     pub fn name(&self, key: &'static str) -> String {
         let text = self.text(key);
         if !text.is_empty()
-            && let Err(reason) = crate::base::ids::check_name(&text)
+            && let Err(reason) = check_name(&text)
         {
             self.problem(key, reason);
         }
         text
     }
 
-    fn text_of(&self, key: &str, value: &Value) -> String {
-        match value.as_str().filter(|text| !text.is_empty()) {
-            Some(text) if printable(text) == *text => text.to_owned(),
-            _ => {
-                self.wrong(key, "a text on one line, which is not empty", value);
-                String::new()
-            }
-        }
-    }
-
-    /// An optional truth value.
+    /// An optional truth value, `true` or `false`.
     pub fn flag_or(&self, key: &'static str, default: bool) -> bool {
-        self.get(key).map_or(default, |value| {
-            value.as_bool().unwrap_or_else(|| {
-                self.wrong(key, "true or false", value);
-                default
-            })
-        })
+        self.read(key, "true or false", Some(default), default, Value::as_bool)
     }
 
     /// A required word out of `choices`, as its paired value; the first choice stands in after a problem.
     pub fn choice<T: Copy>(&self, key: &'static str, choices: &[(&str, T)]) -> T {
-        let expected = Self::one_of(choices);
-        self.required(key, &expected)
-            .map_or(choices[0].1, |value| self.choice_of(key, value, choices, &expected))
+        self.choice_of(key, choices, None)
     }
 
     /// An optional word out of `choices`; the first is the default.
     pub fn choice_or_first<T: Copy>(&self, key: &'static str, choices: &[(&str, T)]) -> T {
-        let expected = Self::one_of(choices);
-        self.get(key).map_or(choices[0].1, |value| self.choice_of(key, value, choices, &expected))
+        self.choice_of(key, choices, Some(choices[0].1))
     }
 
-    fn one_of<T>(choices: &[(&str, T)]) -> String {
+    fn choice_of<T: Copy>(&self, key: &'static str, choices: &[(&str, T)], default: Option<T>) -> T {
         let words: Vec<String> = choices.iter().map(|(word, _)| format!("{word:?}")).collect();
-        format!("one of {}", words.join(", "))
-    }
-
-    fn choice_of<T: Copy>(&self, key: &str, value: &Value, choices: &[(&str, T)], expected: &str) -> T {
-        let found = value.as_str().and_then(|text| choices.iter().find(|(word, _)| *word == text));
-        found.map_or_else(
-            || {
-                self.wrong(key, expected, value);
-                choices[0].1
-            },
-            |(_, choice)| *choice,
-        )
+        let expected = format!("one of {}", words.join(", "));
+        self.read(key, &expected, default, choices[0].1, |value| {
+            let text = value.as_str()?;
+            choices.iter().find(|(word, _)| *word == text).map(|(_, choice)| *choice)
+        })
     }
 
     /// A required list of exactly `N` finite numbers.
     pub fn vector<const N: usize>(&self, key: &'static str) -> [f64; N] {
-        let expected = format!("a list of {N} numbers");
-        self.required(key, &expected).map_or([0.0; N], |value| self.vector_of(key, value, &expected))
+        self.vector_of(key, None)
     }
 
     /// An optional list of exactly `N` finite numbers.
     pub fn vector_or<const N: usize>(&self, key: &'static str, default: [f64; N]) -> [f64; N] {
-        let expected = format!("a list of {N} numbers");
-        self.get(key).map_or(default, |value| self.vector_of(key, value, &expected))
+        self.vector_of(key, Some(default))
     }
 
-    fn vector_of<const N: usize>(&self, key: &str, value: &Value, expected: &str) -> [f64; N] {
-        let number =
-            |v: &Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64)).filter(|x| x.is_finite());
-        let numbers: Option<Vec<f64>> = value.as_array().and_then(|list| list.iter().map(number).collect());
-        numbers.and_then(|list| list.try_into().ok()).unwrap_or_else(|| {
-            self.wrong(key, expected, value);
-            [0.0; N]
+    fn vector_of<const N: usize>(&self, key: &'static str, default: Option<[f64; N]>) -> [f64; N] {
+        self.read(key, &format!("a list of {N} numbers"), default, [0.0; N], |value| {
+            let finite = |value| number(value).filter(|x| x.is_finite());
+            value.as_array()?.iter().map(finite).collect::<Option<Vec<f64>>>()?.try_into().ok()
         })
     }
 
     /// An optional list of any values.
     pub fn list(&self, key: &'static str) -> &'a [Value] {
-        match self.get(key) {
-            None => &[],
-            Some(Value::Array(list)) => list,
-            Some(other) => {
-                self.wrong(key, "a list", other);
-                &[]
-            }
-        }
+        self.read(key, "a list", Some(&[]), &[], |value| value.as_array().map(Vec::as_slice))
     }
 
-    /// A required sub-table.
-    pub fn section(&self, key: &'static str) -> Option<Section<'a>> {
-        self.required(key, "a table").and_then(|value| self.section_of(key, value))
+    /// What `take` makes of each value of an optional list; the others are problems.
+    pub fn each<T>(&self, key: &'static str, expected: &str, take: impl Fn(&Value) -> Option<T>) -> Vec<T> {
+        let values = self.list(key).iter().enumerate();
+        let taken = values.filter_map(|(i, value)| {
+            let taken = take(value);
+            if taken.is_none() {
+                self.problem(&format!("{key}[{i}]"), format!("expected {expected}, found {value}"));
+            }
+            taken
+        });
+        taken.collect()
     }
 
     /// An optional value of any kind.
@@ -222,7 +201,15 @@ impl<'a> Section<'a> {
         self.get(key)
     }
 
-    /// An optional sub-table.
+    /// A sub-table that must be there.
+    pub fn section(&self, key: &'static str) -> Option<Section<'a>> {
+        if !self.has(key) {
+            self.problem(key, "is missing, expected a table");
+        }
+        self.optional_section(key)
+    }
+
+    /// A sub-table that may be missing.
     pub fn optional_section(&self, key: &'static str) -> Option<Section<'a>> {
         self.get(key).and_then(|value| self.section_of(key, value))
     }
@@ -237,16 +224,12 @@ impl<'a> Section<'a> {
 
     /// A required list of at least one table (`[[key]]`).
     pub fn sections(&self, key: &'static str) -> Vec<Section<'a>> {
-        let Some(value) = self.required(key, "at least one table") else { return Vec::new() };
-        let Some(list) = value.as_array().filter(|list| !list.is_empty()) else {
-            self.wrong(key, "at least one table", value);
-            return Vec::new();
-        };
-        let tables = list.iter().enumerate();
+        let some = |value: &'a Value| value.as_array().map(Vec::as_slice).filter(|list| !list.is_empty());
+        let tables = self.read(key, "at least one table", None, &[][..], some).iter().enumerate();
         tables.filter_map(|(i, value)| self.section_of(&format!("{key}[{i}]"), value)).collect()
     }
 
-    /// Notes every key that nobody asked for. Call it last.
+    /// Notes every key that no getter has read as a problem. Call it last.
     pub fn finish(self) {
         let seen = self.seen.borrow();
         for key in self.table.keys().filter(|key| !seen.contains(key.as_str())) {
@@ -254,4 +237,9 @@ impl<'a> Section<'a> {
             self.problem(key, format!("is not known here; known: {}", known.join(", ")));
         }
     }
+}
+
+/// A number; whole ones are accepted.
+pub(super) fn number(value: &Value) -> Option<f64> {
+    value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64))
 }

@@ -9,10 +9,13 @@ use serde::{Deserialize, Serialize};
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
-/// What triggers the cameras.
+/// What action commands are called where a serial device would be named.
+pub const ACTION_COMMANDS: &str = "action commands";
+
+/// What triggers the cameras of a node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum TriggerSource {
-    /// The HSU, by wires.
+    /// The HSU, by wires to projectors and cameras.
     Hsu {
         /// Serial device of the link to it.
         device: PathBuf,
@@ -26,9 +29,7 @@ pub enum TriggerSource {
 /// Action commands of GigE Vision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ActionConfig {
-    /// `ActionDeviceKey` of the cameras.
     pub device_key: u32,
-    /// `ActionGroupKey` of the cameras.
     pub group_key: u32,
     /// `ActionGroupMask` of the cameras; not 0.
     pub group_mask: u32,
@@ -46,15 +47,15 @@ impl TriggerSource {
         }
     }
 
-    /// What it is called where a device is named.
+    /// The name that stands where the HSU's serial device is named.
     pub fn device(&self) -> PathBuf {
         match self {
             Self::Hsu { device, .. } => device.clone(),
-            Self::Action(_) => PathBuf::from("action commands"),
+            Self::Action(_) => PathBuf::from(ACTION_COMMANDS),
         }
     }
 
-    /// What action commands cannot do for this rig, and what their cameras must be.
+    /// Notes what action commands cannot do for this rig, and what they require of its cameras.
     pub(super) fn check(&self, root: &Section<'_>, rig: &Rig, cameras: &[CameraConfig]) {
         if self.action().is_none() {
             return;
@@ -89,13 +90,13 @@ impl TriggerSource {
                 );
                 root.problem(&format!("camera[{i}].address"), message);
             }
-            let said = [
+            let stated = [
                 ("trigger_line", camera.words.trigger_line.is_some()),
                 ("trigger_edge", camera.words.trigger_edge.is_some()),
             ];
-            for (word, _) in said.into_iter().filter(|(_, said)| *said) {
+            for (word, _) in stated.into_iter().filter(|(_, is_there)| *is_there) {
                 let message = format!(
-                    "is said for {}, and its triggers are action commands, which come by no line: leave it out",
+                    "is given for {}, and its triggers are action commands, which come by no line: leave it out",
                     camera.id
                 );
                 root.problem(&format!("camera[{i}].{word}"), message);

@@ -1,58 +1,53 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a node file says of a camera in words of its own, whatever its features are called: common to all cameras
+//! What a node file states of cameras in words of its own, whatever a camera calls its features: common to all cameras
 //! (`[acquisition]`) and of one (`[[camera]]`).
 
 use super::node::{FeatureSetting, FeatureValue};
 use super::pixel::{Mosaic, Pixel};
-use super::section::Section;
+use super::section::{Section, number};
 use serde::{Deserialize, Serialize};
 
-/// A trigger line or a packet delay that is found out.
+/// The value of a trigger line or a packet delay that the program finds by itself.
 pub const AUTO: &str = "auto";
 
 /// The edge of the trigger line that starts a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Edge {
-    /// From low to high.
     Rising,
-    /// From high to low.
     Falling,
 }
 
 /// The time between two packets of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum PacketDelay {
-    /// So long that cameras which share a network can send at once.
+    /// Long enough that all cameras which share a network link can send at the same time.
     Auto,
-    /// Microseconds.
     Microseconds(f64),
 }
 
-/// What is said; `None`: nothing.
+/// The words that a section states; `None`: it does not have the word.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct CameraWords {
     /// The camera's input that the HSU is wired to, or [`AUTO`].
     pub trigger_line: Option<String>,
     /// The edge that starts a frame.
     pub trigger_edge: Option<Edge>,
-    /// Exposure, microseconds.
     pub exposure_us: Option<f64>,
-    /// By how much the camera's nearest exposure may differ, microseconds.
+    /// The most that the nearest exposure of the camera may differ from it, microseconds.
     pub exposure_tolerance_us: Option<f64>,
-    /// Gain, decibels.
     pub gain_db: Option<f64>,
     /// The form of a pixel that the camera is to send.
     pub pixel: Option<Pixel>,
-    /// Columns; those of the rig.
+    /// Columns of the image, which must be those of the rig.
     pub width: Option<u64>,
-    /// Rows; those of the rig.
+    /// Rows of the image, which must be those of the rig.
     pub height: Option<u64>,
     /// Whether a trigger may come while the frame before it is read out.
     pub overlap: Option<bool>,
     /// The time between two packets.
     pub packet_delay: Option<PacketDelay>,
-    /// Words that the raw settings stand for, by features that no rule knows.
+    /// Words that raw settings replace, because the camera's features for them follow no known rule.
     #[serde(default)]
     pub left_to_settings: Vec<String>,
 }
@@ -81,30 +76,30 @@ impl CameraWords {
         const EDGES: [(&str, Edge); 2] = [("rising", Edge::Rising), ("falling", Edge::Falling)];
         let pixels = Pixel::GREY.into_iter().chain([Pixel::Bayer8(Mosaic::default())]);
         let pixels: Vec<(&str, Pixel)> = pixels.map(|pixel| (pixel.word(), pixel)).collect();
-        // Asked for, and so known, whether it is there or not.
-        let said = |key| section.value(key).is_some();
-        let number = |key, range| said(key).then(|| section.number(key, range));
-        let whole = |key| said(key).then(|| section.integer(key, 1..=65_536));
+        // Reading a key makes it known to the section, whether it is there or not.
+        let there = |key| section.value(key).is_some();
+        let number = |key, range| there(key).then(|| section.number(key, range));
+        let whole = |key| there(key).then(|| section.integer(key, 1..=65_536));
         Self {
-            trigger_line: said("trigger_line").then(|| section.text("trigger_line")),
-            trigger_edge: said("trigger_edge").then(|| section.choice("trigger_edge", &EDGES)),
+            trigger_line: there("trigger_line").then(|| section.text("trigger_line")),
+            trigger_edge: there("trigger_edge").then(|| section.choice("trigger_edge", &EDGES)),
             exposure_us: number("exposure_us", 0.1..=10_000_000.0),
             exposure_tolerance_us: number("exposure_tolerance_us", 0.0..=1_000_000.0),
             gain_db: number("gain_db", 0.0..=100.0),
-            pixel: said("pixel").then(|| section.choice("pixel", &pixels)),
+            pixel: there("pixel").then(|| section.choice("pixel", &pixels)),
             width: whole("width"),
             height: whole("height"),
-            overlap: said("overlap").then(|| section.flag_or("overlap", true)),
-            packet_delay: said("packet_delay_us").then(|| read_packet_delay(section)),
+            overlap: there("overlap").then(|| section.flag_or("overlap", true)),
+            packet_delay: there("packet_delay_us").then(|| read_packet_delay(section)),
             left_to_settings: read_left(section),
         }
     }
 
-    /// These words, and for what they do not say the common ones.
+    /// These words, with the common ones where a word is missing.
     pub fn or(self, common: &Self) -> Self {
-        // What a camera says of itself it does not leave to a list that is common.
-        let said: Vec<&str> =
-            FEATURES_OF_WORDS.iter().map(|(word, _)| *word).filter(|word| self.says(word)).collect();
+        // What a camera states itself it does not leave to a list for all cameras.
+        let left = common.left_to_settings.iter().filter(|word| !self.has(word)).cloned();
+        let left_to_settings = left.chain(self.left_to_settings.iter().cloned()).collect();
         Self {
             trigger_line: self.trigger_line.or_else(|| common.trigger_line.clone()),
             trigger_edge: self.trigger_edge.or(common.trigger_edge),
@@ -116,11 +111,11 @@ impl CameraWords {
             height: self.height.or(common.height),
             overlap: self.overlap.or(common.overlap),
             packet_delay: self.packet_delay.or(common.packet_delay),
-            left_to_settings: left_to_settings(&said, self.left_to_settings, common),
+            left_to_settings,
         }
     }
 
-    /// What is said, each word under its own name.
+    /// The words that are there, each under its own name.
     pub fn spoken(&self) -> Vec<FeatureSetting> {
         let text = |text: &str| FeatureValue::Text(text.to_owned());
         let edge = |edge| text(if edge == Edge::Rising { "rising" } else { "falling" });
@@ -141,35 +136,16 @@ impl CameraWords {
             ("overlap", self.overlap.map(FeatureValue::Flag)),
             ("packet_delay_us", self.packet_delay.map(delay)),
         ];
-        let said = |(word, value): (&str, Option<FeatureValue>)| {
+        let setting = |(word, value): (&str, Option<FeatureValue>)| {
             Some(FeatureSetting { feature: word.to_owned(), value: value? })
         };
-        words.into_iter().filter_map(said).collect()
+        words.into_iter().filter_map(setting).collect()
     }
 
-    /// Whether this word is said.
-    fn says(&self, word: &str) -> bool {
-        match word {
-            "trigger_line" => self.trigger_line.is_some(),
-            "trigger_edge" => self.trigger_edge.is_some(),
-            "exposure_us" => self.exposure_us.is_some(),
-            "gain_db" => self.gain_db.is_some(),
-            "pixel" => self.pixel.is_some(),
-            "width" => self.width.is_some(),
-            "height" => self.height.is_some(),
-            "overlap" => self.overlap.is_some(),
-            "packet_delay_us" => self.packet_delay.is_some(),
-            _ => false,
-        }
+    /// Whether this word is there.
+    fn has(&self, word: &str) -> bool {
+        self.spoken().iter().any(|stated| stated.feature == word)
     }
-}
-
-/// Words left to settings: the common ones that a camera does not say, and its own.
-fn left_to_settings(said: &[&str], own: Vec<String>, common: &CameraWords) -> Vec<String> {
-    let unsaid = common.left_to_settings.iter().filter(|word| !said.contains(&word.as_str()));
-    let mut left: Vec<String> = unsaid.cloned().collect();
-    left.extend(own);
-    left
 }
 
 fn read_left(section: &Section<'_>) -> Vec<String> {
@@ -180,7 +156,7 @@ fn read_left(section: &Section<'_>) -> Vec<String> {
         match value.as_str().filter(|word| known.contains(word)) {
             Some(word) if section.has(word) => section.problem(
                 &format!("{KEY}[{i}]"),
-                format!("{} is said, too: say one of the two", section.path_of(word)),
+                format!("{} is there, too: give one of the two", section.path_of(word)),
             ),
             Some(word) => left.push(word.to_owned()),
             None => {
@@ -194,19 +170,18 @@ fn read_left(section: &Section<'_>) -> Vec<String> {
 
 fn read_packet_delay(section: &Section<'_>) -> PacketDelay {
     const KEY: &str = "packet_delay_us";
-    let expected = "expected microseconds from 0 to 100000, or \"auto\"";
     match section.value(KEY) {
-        Some(toml::Value::String(text)) if text == AUTO => return PacketDelay::Auto,
+        Some(toml::Value::String(text)) if text == AUTO => PacketDelay::Auto,
         Some(value) => {
-            let number = value.as_float().or_else(|| value.as_integer().map(|whole| whole as f64));
-            match number.filter(|delay| (0.0..=100_000.0).contains(delay)) {
-                Some(delay) => return PacketDelay::Microseconds(delay),
-                None => section.problem(KEY, format!("{expected}, found {value}")),
+            let delay = number(value).filter(|delay| (0.0..=100_000.0).contains(delay));
+            if delay.is_none() {
+                let expected = "expected microseconds from 0 to 100000, or \"auto\"";
+                section.problem(KEY, format!("{expected}, found {value}"));
             }
+            delay.map_or(PacketDelay::Auto, PacketDelay::Microseconds)
         }
-        None => {}
+        None => PacketDelay::Auto,
     }
-    PacketDelay::Auto
 }
 
 /// Reads a list of raw settings. What a word sets must be left to it, here (`words`) or for all cameras (`common`).
@@ -218,20 +193,15 @@ pub(super) fn read_settings(
     let is_left = |word: &str| {
         let here = words.left_to_settings.iter();
         here.chain(common.iter().flat_map(|common| &common.left_to_settings)).any(|left| left == word)
-            && !words.says(word)
+            && !words.has(word)
     };
     let mut settings = Vec::new();
     for (i, entry) in section.list("settings").iter().enumerate() {
         let key = format!("settings[{i}]");
-        let pair = entry.as_array().map(Vec::as_slice);
-        let value = match pair {
-            Some([toml::Value::String(_), toml::Value::Boolean(b)]) => Some(FeatureValue::Flag(*b)),
-            Some([toml::Value::String(_), toml::Value::Integer(i)]) => Some(FeatureValue::Integer(*i)),
-            Some([toml::Value::String(_), toml::Value::Float(x)]) => Some(FeatureValue::Float(*x)),
-            Some([toml::Value::String(_), toml::Value::String(t)]) => Some(FeatureValue::Text(t.clone())),
-            _ => None,
-        };
-        let (Some([toml::Value::String(feature), _]), Some(value)) = (pair, value) else {
+        let value = entry.get(1).and_then(|value| value.clone().try_into::<FeatureValue>().ok());
+        let (Some([toml::Value::String(feature), _]), Some(value)) =
+            (entry.as_array().map(Vec::as_slice), value)
+        else {
             section.problem(&key, format!("expected [\"FeatureName\", value], found {entry}"));
             continue;
         };
@@ -239,7 +209,7 @@ pub(super) fn read_settings(
             section.problem(
                 &key,
                 format!(
-                    "{feature} is what {} sets: say that, or {} = [\"{word}\"]",
+                    "{feature} is what {} sets: give that, or {} = [\"{word}\"]",
                     section.path_of(word),
                     section.path_of("left_to_settings")
                 ),

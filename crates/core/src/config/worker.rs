@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the worker needs: where the nodes' sessions are, where results go, how much it may take (`worker.toml`).
+//! What the worker needs: where the nodes' sessions are, where results go, how much memory and disk it may use
+//! (`worker.toml`).
 
 use super::section::Section;
-use super::{ConfigError, Problem, read_table};
+use super::{ConfigError, read_all, read_table};
 use crate::base::ids::NodeId;
-use std::cell::RefCell;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -17,18 +17,17 @@ pub struct WorkerNode {
     pub sessions_dir: PathBuf,
     /// Its control API, for giving way to its captures; `http://HOST:PORT`, `https://HOST:PORT` or `unix:/PATH`.
     pub url: Option<String>,
-    /// The token for it.
+    /// The file with the token for its API.
     pub token_file: Option<PathBuf>,
     /// The certificate that signed its own.
     pub ca: Option<PathBuf>,
 }
 
-/// Which session comes next.
+/// Which of the waiting sessions is reconstructed next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// The last one recorded: what somebody waits for.
+    /// The one that was recorded last: users wait for its results.
     Newest,
-    /// As they were recorded.
     Oldest,
 }
 
@@ -51,24 +50,22 @@ impl Output {
     }
 }
 
-/// The worker.
+/// The configuration of the worker, as its file states it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WorkerConfig {
     /// A session is worked on when all of these have recorded it.
     pub nodes: Vec<WorkerNode>,
     /// Results are directories below this one, named as their sessions.
     pub results: PathBuf,
-    /// For sessions that are begun from now on.
+    /// The calibration of sessions whose reconstruction begins from now on.
     pub calibration: PathBuf,
-    /// Where recordings are copied to by whoever keeps them; `prune` compares with it.
+    /// Where the laboratory copies its recordings to; `prune` deletes only what is there.
     pub archive: Option<PathBuf>,
-    /// Which session comes next.
     pub order: Order,
-    /// What is written.
     pub output: Output,
-    /// At most so many threads; none: one per core.
+    /// The most threads to use; `None`: one per core.
     pub threads: Option<usize>,
-    /// At most so much memory, bytes.
+    /// The most memory to use, bytes.
     pub memory_bytes: u64,
     /// Nothing is written when the results' disk has less free, bytes.
     pub reserve_bytes: u64,
@@ -76,25 +73,22 @@ pub struct WorkerConfig {
     pub attempts: u32,
 }
 
+/// The only version of worker files so far.
 const FORMAT: u64 = 1;
 const MIB: u64 = 1 << 20;
 
-/// Memory of a reconstruction beside its threads' (measured: docs/benchmarks.md).
+/// Memory of a reconstruction without that of its threads, bytes (measured: docs/benchmarks.md).
 const BASE_BYTES: u64 = 400 * MIB;
-/// Memory of each thread.
+/// Memory of each thread of a reconstruction, bytes (measured: docs/benchmarks.md).
 const THREAD_BYTES: u64 = 500 * MIB;
 
 impl WorkerConfig {
     /// Reads and validates a worker file.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
         let table = read_table(path)?;
-        let problems = RefCell::default();
-        let config = read_worker(Section::root(&table, &problems), path.parent().unwrap_or(Path::new(".")));
-        let problems: Vec<Problem> = problems.into_inner();
-        match config {
-            Some(config) if problems.is_empty() => Ok(config),
-            _ => Err(ConfigError { path: path.to_owned(), problems }),
-        }
+        let base = path.parent().unwrap_or(Path::new("."));
+        read_all(&table, |root| read_worker(root, base))
+            .map_err(|problems| ConfigError { path: path.to_owned(), problems })
     }
 
     /// Threads that fit into the memory, at least one.
@@ -119,7 +113,8 @@ fn read_worker(root: Section<'_>, base: &Path) -> Option<WorkerConfig> {
     if let Some(archive) = &archive {
         for node in nodes.iter().filter(|node| overlap(archive, &node.sessions_dir)) {
             let message = format!(
-                "{} and the sessions of node {} ({}) are one directory, or one lies in the other; expected another place: what is \
+                "{} and the sessions of node {} ({}) are one directory, or one lies in the other; expected \
+                 another place: what is \
                  copied there must outlive what is deleted here",
                 archive.display(),
                 node.name,
@@ -160,7 +155,7 @@ fn overlap(a: &Path, b: &Path) -> bool {
     a.starts_with(&b) || b.starts_with(&a) || [(&a, &b), (&b, &a)].into_iter().any(|(a, b)| lies_in(a, b))
 }
 
-/// Where a path leads: behind the links of what is there of it.
+/// The path behind all links; of the part that does not exist yet, as it is written.
 fn resolved(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     let there = path.ancestors().find_map(|part| Some((part, part.canonicalize().ok()?)));
@@ -256,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn all_problems_are_told_at_once() {
+    fn all_problems_are_reported_at_once() {
         let node = "[[node]]\nname = \"a\"\nsessions_dir = \"s\"\n";
         let text = format!("format = 1\nresults = \"r\"\n{node}{node}[work]\nwrite = \"e57\"\nspeed = 3\n");
         let error = load(&text).expect_err("wrong");

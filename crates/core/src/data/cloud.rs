@@ -7,22 +7,20 @@ pub const NO_CAMERA: u8 = u8::MAX;
 /// Points in the world frame. All arrays have the same length.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Cloud {
-    /// World coordinates, metres.
     pub position_m: Vec<[f32; 3]>,
     /// Unit normals towards the camera.
     pub normal: Vec<[f32; 3]>,
     /// 0 to 1: light averaged over one fringe period.
     pub intensity: Vec<f32>,
-    /// Source pixel (column, row).
     pub pixel: Vec<[u16; 2]>,
     /// Source camera: its place in the calibration. Empty in a directional cloud.
     pub camera: Vec<u8>,
-    /// Standard uncertainty of the place along the line of sight, metres. Empty where it was not asked for.
+    /// Standard uncertainty of the place along the line of sight, metres. Empty without `--uncertainty`.
     pub sigma_m: Vec<f32>,
 }
 
 impl Cloud {
-    /// Number of points.
+    /// The number of points in the cloud.
     pub fn len(&self) -> usize {
         self.position_m.len()
     }

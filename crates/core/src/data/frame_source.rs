@@ -46,9 +46,7 @@ fn pixels_crc(image: Mono8<'_>) -> u32 {
 pub struct StatedCamera {
     /// Its name in the rig.
     pub id: CameraId,
-    /// Columns of its frames.
     pub width: usize,
-    /// Rows of its frames.
     pub height: usize,
     /// Vendor, model and serial number; empty where unknown.
     pub device: String,
@@ -57,7 +55,6 @@ pub struct StatedCamera {
 /// What a source states about itself, for a calibration to be compared with.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceStatement {
-    /// Its cameras.
     pub cameras: Vec<StatedCamera>,
     /// What was projected; `None` where it is not known.
     pub pattern: Option<Pattern>,
@@ -92,18 +89,18 @@ impl fmt::Display for SessionIdentity {
     }
 }
 
-/// A part of a session that cannot be read at all, though there is one: the recording of a node.
+/// A part of a session that is there and cannot be read at all: the recording of a node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LostPart {
     /// Which, and why, in a sentence.
-    pub told: String,
-    /// Its cameras; none where nothing says which they are.
+    pub reason: String,
+    /// Its cameras; empty where they are not known.
     pub cameras: Vec<CameraId>,
 }
 
 impl fmt::Display for LostPart {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.told)
+        f.write_str(&self.reason)
     }
 }
 
@@ -115,7 +112,7 @@ pub trait FrameSource: Sync {
     /// The triggers of the session.
     fn triggers(&self) -> Range<u64>;
 
-    /// The frame of `camera` at `trigger`. An error means that the source is damaged there: the text says
+    /// The frame of `camera` at `trigger`. An error means that the source is damaged there: the text states
     /// what was expected, what was found and what to do.
     fn frame(&self, camera: &CameraId, trigger: TriggerIndex) -> Result<Frame<'_>, String>;
 
@@ -141,7 +138,7 @@ pub trait FrameSource: Sync {
         &[]
     }
 
-    /// Files beside the frames that are none, and are left out.
+    /// Files that lie beside the frames, are no frames, and are left out.
     fn left_out(&self) -> &[PathBuf] {
         &[]
     }
@@ -156,7 +153,7 @@ pub trait FrameSource: Sync {
         None
     }
 
-    /// What clock its triggers' times are of, in words; `None` where it knows no times.
+    /// What clock its triggers' times are of, in words; `None` where it has no times.
     fn time_base(&self) -> Option<String> {
         None
     }

@@ -7,9 +7,8 @@ mod frame_source;
 mod phase_map;
 
 pub use calibration::{
-    CONVENTIONS, CalibratedCamera, CalibratedHead, Calibration, CalibrationError, CameraResiduals,
-    DeviceUncertainty, Extent, HeadLink, HeadVolume, Identity, PanelRows, Quality, Response, ValidVolume,
-    World,
+    CONVENTIONS, CalibratedCamera, CalibratedHead, Calibration, CameraResiduals, DeviceUncertainty, Extent,
+    HeadLink, HeadVolume, Identity, PanelRows, Quality, Response, ValidVolume, World,
 };
 pub use cloud::{Cloud, NO_CAMERA};
 pub use frame_source::{Frame, FrameSource, LostPart, SessionIdentity, SourceStatement, StatedCamera};

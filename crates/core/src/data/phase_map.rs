@@ -2,8 +2,8 @@
 //! What a frame comes to before geometry: absolute phase and light of the pixels that are known, in whole steps.
 //!
 //! Points and normals follow from it and the calibration alone, so that it is all that has to be stored
-//! (`crate::export::compact`). The pipeline itself makes its clouds from a phase map: a cloud made when a stored map is read
-//! has the same bytes.
+//! (`crate::export::compact`). The pipeline itself makes its clouds from a phase map: a cloud made when a stored map
+//! is read has the same bytes.
 
 /// Steps of the absolute phase in one fringe. A step is 0.005 mm of depth where a fringe is 40 mm: the rounding adds
 /// less than a thousandth to the variance of 0.05 mm.
@@ -15,11 +15,10 @@ pub const STEPS_PER_LEVEL: f32 = 4.0;
 /// A stretch of known pixels of one row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Run {
-    /// Row in the frame.
     pub row: u16,
     /// First column in the frame.
     pub first: u16,
-    /// Number of pixels.
+    /// The number of pixels, at least 1.
     pub length: u16,
 }
 
@@ -42,11 +41,11 @@ pub struct PhaseMap {
     pub phase: Vec<i32>,
     /// Light over one fringe, DN times [`STEPS_PER_LEVEL`].
     pub light: Vec<u16>,
-    /// Standard uncertainty of the phase ([`encode_sigma`]); empty where it was not asked for.
+    /// Standard uncertainty of the phase ([`encode_sigma`]); empty without `--uncertainty`.
     pub sigma_code: Vec<u8>,
 }
 
-/// Bits of the least standard uncertainty that its code tells: 0.0001 rad.
+/// Bits of the least standard uncertainty that its code can state: 0.0001 rad.
 const LEAST_SIGMA: u32 = 0x38d1_b717;
 
 /// Bits of a float below those that its code keeps: 16 steps in an octave.

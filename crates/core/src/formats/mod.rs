@@ -4,7 +4,7 @@
 /// NumPy's arrays in a zip file.
 #[cfg(feature = "npz")]
 pub mod npz;
-/// Phase maps as files.
+/// Phase maps as files, written and read.
 pub mod phase_file;
-/// Binary PLY files.
+/// Clouds as binary PLY files, written and read.
 pub mod ply;

@@ -44,7 +44,7 @@ impl NpzReader {
 pub struct NpzWriter(ZipWriter<BufWriter<File>>);
 
 impl NpzWriter {
-    /// Begins a file.
+    /// Begins a file without any array.
     pub fn create(path: &Path) -> io::Result<Self> {
         Ok(Self(ZipWriter::new(BufWriter::new(File::create(path)?))))
     }
@@ -69,7 +69,7 @@ impl NpzWriter {
         self.0.write_all(&bytes)
     }
 
-    /// Ends the file.
+    /// Writes the file's list of arrays, and ends it.
     pub fn finish(self) -> io::Result<()> {
         self.0.finish()?.flush()
     }

@@ -10,41 +10,41 @@
 //! u32       CRC-32 of everything before
 //! ```
 //!
-//! Numbers are little endian. The body holds, one after the other: the runs (LEB128: rows to the run before; columns to
-//! its end, or in a new row the column itself; length); for each run its first phase less that of the run before and, if
-//! it has two pixels, its first step less that of the run before (LEB128 of zigzag); the second differences of the
-//! phase along the runs; the differences of the light, and of the uncertainty where there is one, from pixel to pixel. The
-//! differences are zigzag numbers in blocks of 64: a byte says how many bits each has, then come 64 times as many bits,
-//! the first number in the lowest. The last block is filled up with zeros.
+//! Numbers are little endian. The body holds, one after the other: the runs (LEB128: rows to the run before; columns
+//! to its end, or in a new row the column itself; length); for each run its first phase less that of the run before
+//! and, if it has two pixels, its first step less that of the run before (LEB128 of zigzag); the second differences
+//! of the phase along the runs; the differences of the light, and of the uncertainty where there is one, from pixel
+//! to pixel. The differences are zigzag numbers in blocks of 64: a byte states how many bits each has, then come 64
+//! times as many bits, the first number in the lowest. The last block is filled up with zeros.
 //!
 //! Light and slope change slowly along a row, so that the differences are little more than the noise, which does not
 //! compress further.
 
-use crate::base::{json, regular};
+use crate::base::{FileError, json, regular};
 use crate::data::{PhaseMap, Run};
 use serde::{Deserialize, Serialize};
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+/// The first bytes of a file of version 1.
 const MAGIC: &[u8; 8] = b"4dphase1";
 
-/// Bytes before the statement, and after the body.
+/// Bytes before the statement: magic and the two lengths.
 const HEAD_BYTES: usize = 16;
+/// Bytes after the body: the checksum.
 const TAIL_BYTES: usize = 4;
 
-/// No camera has pixels for more, bytes.
+/// The most bytes of a file: no camera has pixels for more.
 const BYTES_MAX: u64 = 1 << 30;
 
-/// Numbers in a block.
+/// Numbers that are packed as one block, all of the same width.
 const BLOCK: usize = 64;
 
 /// What a file states beside the phase map.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Statement {
-    /// The camera.
     pub camera: String,
-    /// Index of the trigger.
     pub trigger: u64,
     /// When it was, ns, where that is known.
     pub time_ns: Option<u64>,
@@ -60,7 +60,7 @@ pub struct Statement {
     pub merged_comments: Vec<String>,
 }
 
-/// Sizes that the body needs to be read.
+/// The statement of a file with the sizes that are needed to read its body.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Header {
@@ -70,27 +70,6 @@ struct Header {
     pixels: usize,
     #[serde(rename = "doubt")]
     sigma_code: bool,
-}
-
-/// Why a file could not be read.
-#[derive(Debug, thiserror::Error)]
-pub enum PhaseFileError {
-    /// The file could not be opened or read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The file is not a phase map of this version, or is damaged.
-    #[error("{path}: {reason}; expected a phase map as `fourdbody reconstruct` writes it: make it again")]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        reason: String,
-    },
 }
 
 /// The bytes of a file.
@@ -111,16 +90,8 @@ pub fn encode(statement: &Statement, map: &PhaseMap) -> Result<Vec<u8>, String> 
     let body = out.len();
     write_runs(map, &mut out);
     write_phase(map, &mut out);
-    let mut last = 0;
-    pack(
-        map.light.iter().map(|&x| zigzag(i32::from(x) - std::mem::replace(&mut last, i32::from(x)))),
-        &mut out,
-    );
-    let mut last = 0;
-    pack(
-        map.sigma_code.iter().map(|&x| zigzag(i32::from(x) - std::mem::replace(&mut last, i32::from(x)))),
-        &mut out,
-    );
+    pack(differences(&map.light), &mut out);
+    pack(differences(&map.sigma_code), &mut out);
     let length = u32::try_from(out.len() - body).map_err(|e| e.to_string())?;
     out[12..16].copy_from_slice(&length.to_le_bytes());
     let sum = crc32fast::hash(&out);
@@ -128,7 +99,7 @@ pub fn encode(statement: &Statement, map: &PhaseMap) -> Result<Vec<u8>, String> 
     Ok(out)
 }
 
-/// Reads the bytes of a file; an error says what is wrong with them.
+/// Reads the bytes of a file; an error states what is wrong with them.
 pub fn decode(bytes: &[u8]) -> Result<(Statement, PhaseMap), String> {
     let (header, mut body) = open(bytes)?;
     let room = usize::from(header.frame[0]) * usize::from(header.frame[1]);
@@ -156,48 +127,41 @@ pub fn decode(bytes: &[u8]) -> Result<(Statement, PhaseMap), String> {
     Ok((header.statement, map))
 }
 
-/// Reads what the bytes of a file state, after all of them have been checked.
-pub fn decode_statement(bytes: &[u8]) -> Result<Statement, String> {
-    open(bytes).map(|(header, _)| header.statement)
-}
-
 /// Writes a file through a temporary neighbour, so that it is never half there.
 pub fn save(path: &Path, statement: &Statement, map: &PhaseMap) -> io::Result<()> {
     let bytes = encode(statement, map).map_err(io::Error::other)?;
     crate::base::write_whole_cached(path, |file| file.write_all(&bytes))
 }
 
-/// Reads a file.
-pub fn load(path: &Path) -> Result<(Statement, PhaseMap), PhaseFileError> {
-    let bytes = read(path)?;
-    decode(&bytes).map_err(|reason| PhaseFileError::Format { path: path.to_owned(), reason })
+/// Reads a file: what it states, and its map.
+pub fn load(path: &Path) -> Result<(Statement, PhaseMap), FileError> {
+    load_as(path, decode)
 }
 
 /// As [`load`], of a camera whose frame has these columns and rows: the map takes no memory for any other.
-pub fn load_of_frame(path: &Path, frame: [usize; 2]) -> Result<(Statement, PhaseMap), PhaseFileError> {
-    let bytes = read(path)?;
-    let stated = open(&bytes).and_then(|(header, _)| match header.frame.map(usize::from) == frame {
-        true => decode(&bytes),
-        false => Err(format!(
-            "it is of a frame of {:?} pixels, the calibration has {frame:?} for the camera that its name says",
-            header.frame
+pub fn load_of_frame(path: &Path, frame: [usize; 2]) -> Result<(Statement, PhaseMap), FileError> {
+    load_as(path, |bytes| match open(bytes)?.0.frame.map(usize::from) {
+        found if found == frame => decode(bytes),
+        found => Err(format!(
+            "it is of a frame of {found:?} pixels, the calibration has {frame:?} for the camera of its name"
         )),
-    });
-    stated.map_err(|reason| PhaseFileError::Format { path: path.to_owned(), reason })
+    })
 }
 
-/// Reads what a file states.
-pub fn load_statement(path: &Path) -> Result<Statement, PhaseFileError> {
-    let bytes = read(path)?;
-    decode_statement(&bytes).map_err(|reason| PhaseFileError::Format { path: path.to_owned(), reason })
+/// Reads what a file states, after all of its bytes have been checked.
+pub fn load_statement(path: &Path) -> Result<Statement, FileError> {
+    load_as(path, |bytes| open(bytes).map(|(header, _)| header.statement))
 }
 
-fn read(path: &Path) -> Result<Vec<u8>, PhaseFileError> {
-    let bytes = regular::read(path, BYTES_MAX);
-    bytes.map_err(|source| PhaseFileError::Io { path: path.to_owned(), source })
+fn load_as<T>(path: &Path, decode: impl FnOnce(&[u8]) -> Result<T, String>) -> Result<T, FileError> {
+    let bytes = regular::read(path, BYTES_MAX).map_err(FileError::of(path))?;
+    decode(&bytes).map_err(|reason| {
+        let expected = "expected a phase map as `fourdbody reconstruct` writes it: make it again";
+        FileError::of(path)(format!("{reason}; {expected}"))
+    })
 }
 
-/// Checks lengths and checksum.
+/// Checks lengths and checksum; the header, and the bytes of the body.
 fn open(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     let number = |at: usize| {
         let found = bytes.get(at..at + 4).and_then(|x| x.as_array::<4>());
@@ -218,6 +182,11 @@ fn open(bytes: &[u8]) -> Result<(Header, &[u8]), String> {
     let (header, body) = bytes[HEAD_BYTES..sum_at].split_at(header);
     let header = json::from_slice(header).map_err(|e| format!("its statement: {e}"))?;
     Ok((header, body))
+}
+
+fn differences<T: Copy + Into<i32>>(numbers: &[T]) -> impl Iterator<Item = u32> {
+    let mut last = 0;
+    numbers.iter().map(move |&x| zigzag(x.into() - std::mem::replace(&mut last, x.into())))
 }
 
 fn write_runs(map: &PhaseMap, out: &mut Vec<u8>) {
@@ -314,7 +283,7 @@ fn read_phase(header: &Header, body: &mut &[u8], map: &mut PhaseMap) -> Result<(
     Ok(())
 }
 
-/// Small numbers of either sign as small numbers.
+/// Zigzag: numbers of either sign near 0 as small unsigned numbers.
 fn zigzag(x: i32) -> u32 {
     ((x << 1) ^ (x >> 31)) as u32
 }
@@ -372,7 +341,7 @@ fn pack_block(block: &[u32; BLOCK], out: &mut Vec<u8>) {
         if bits >= 64 {
             out.extend_from_slice(&word.to_le_bytes());
             bits -= 64;
-            // What the word had no room for.
+            // The upper bits, which did not fit into the word.
             word = u64::from(x).checked_shr(width - bits).unwrap_or(0);
         }
     }
@@ -388,7 +357,7 @@ fn unpack(body: &mut &[u8], count: usize, mut take: impl FnMut(u32)) -> Result<(
         }
         let (bytes, rest) = rest.split_at(8 * width as usize);
         *body = rest;
-        // One word more: the last number's upper part is looked for there.
+        // One word more than a block has: the upper part of its last number is read from there.
         let mut words = [0u64; 33];
         for (word, bytes) in words.iter_mut().zip(bytes.as_chunks::<8>().0) {
             *word = u64::from_le_bytes(*bytes);

@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Binary PLY, as the command line's contract has it: `x y z` (float, metres, world), `intensity` (float, 0 to
 //! 1), `nx ny nz` (float, unit, towards the camera), `u v` (ushort, source pixel), and in merged clouds `camera`
-//! (uchar, place in the calibration). Where it was asked for, `sigma` comes last (float, metres: the standard uncertainty
+//! (uchar, place in the calibration). With `--uncertainty`, `sigma` comes last (float, metres: the standard uncertainty
 //! along the line of sight). Little endian. Comments in the header name where the points come from.
 //!
 //! The reader takes exactly this layout and never trusts a length in the file.
 
-use crate::base::{regular, write_whole_cached};
+use crate::base::{FileError, regular, write_whole_cached};
 use crate::data::{Cloud, NO_CAMERA};
+use std::fs::File;
 use std::io::{self, BufRead, Read, Seek, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Properties of a directional cloud, in order; a merged cloud has [`CAMERA`] after them.
 const PROPERTIES: [(&str, &str); 9] = [
@@ -27,19 +28,19 @@ const CAMERA: (&str, &str) = ("uchar", "camera");
 const SIGMA: (&str, &str) = ("float", "sigma");
 
 /// Bytes of a directional point.
-pub const POINT_BYTES: usize = 7 * 4 + 2 * 2;
+const POINT_BYTES: usize = 7 * 4 + 2 * 2;
 
-/// All cameras of a trigger have fewer points.
+/// The most points of a file: all cameras of a trigger have fewer.
 const POINTS_MAX: usize = 1 << 27;
-/// Points whose memory is taken before they are read.
+/// The most points whose memory is reserved before they are read.
 const ROOM_MAX: usize = 1 << 22;
-/// Longest header that is read: a bound for damaged files.
+/// The longest header that is read, bytes: a bound for damaged files.
 const MAX_HEADER_BYTES: u64 = 64 * 1024;
 
 /// Points read or written at a time: so a false count in a header cannot claim memory.
 const POINTS_AT_ONCE: usize = 4096;
 
-/// What the points have beside the properties of all.
+/// The optional properties that the points of a file have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Layout {
     merged: bool,
@@ -51,43 +52,20 @@ impl Layout {
         PROPERTIES.iter().chain(self.merged.then_some(&CAMERA)).chain(self.sigma.then_some(&SIGMA))
     }
 
-    /// Bytes of a point.
+    /// Bytes of one point with these properties.
     fn stride(self) -> usize {
         POINT_BYTES + usize::from(self.merged) + 4 * usize::from(self.sigma)
     }
 }
 
-/// Why a PLY file could not be read.
-#[derive(Debug, thiserror::Error)]
-pub enum PlyError {
-    /// The file could not be opened or read.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The file is not a cloud of this project, or is damaged.
-    #[error("{path}: {reason}; expected a binary PLY as `fourdbody reconstruct` writes it")]
-    Format {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        reason: String,
-    },
-}
-
-/// What a header says.
+/// What the header of a file states.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Header {
-    /// Number of points.
     pub points: usize,
     /// Whether the points carry their camera.
     pub merged: bool,
     /// Whether the points carry their standard uncertainty.
     pub sigma: bool,
-    /// The comments, in order.
     pub comments: Vec<String>,
 }
 
@@ -107,7 +85,6 @@ impl Header {
 pub struct Part<'a> {
     /// Its camera's number in merged clouds.
     pub camera: u8,
-    /// The cloud.
     pub cloud: &'a Cloud,
     /// Whether each of its points is left out; empty where none is.
     pub left_out: &'a [bool],
@@ -132,7 +109,7 @@ pub fn write(mut out: impl Write, cloud: &Cloud, comments: &[String]) -> io::Res
 pub fn write_merged(mut out: impl Write, parts: &[Part<'_>], comments: &[String]) -> io::Result<()> {
     let full = || parts.iter().filter(|part| part.points() > 0);
     let sigma = full().next().is_some() && full().all(|part| !part.cloud.sigma_m.is_empty());
-    // A merged cloud without points has no camera to tell.
+    // A merged cloud without points has no camera to state.
     let layout = Layout { merged: full().next().is_some(), sigma };
     let points = parts.iter().map(Part::points).sum();
     out.write_all(header(points, layout, comments).as_bytes())?;
@@ -158,8 +135,8 @@ fn header(points: usize, layout: Layout, comments: &[String]) -> String {
     header + "end_header\n"
 }
 
-/// Writes the points that `keep` holds for (by place) by the thousand, through a buffer that stays in the cache. `camera`: that
-/// of all of them, where the cloud itself does not tell.
+/// Writes the points for whose places `keep` is true, some thousand at a time through a buffer that stays in the cache.
+/// `camera`: the number of their camera, where the cloud itself does not have it.
 fn write_points(
     out: &mut impl Write,
     cloud: &Cloud,
@@ -212,44 +189,47 @@ pub fn save_merged(path: &Path, parts: &[Part<'_>], comments: &[String]) -> io::
     write_whole_cached(path, |file| write_merged(file, parts, comments))
 }
 
-/// Reads the header of a file.
-pub fn load_header(path: &Path) -> Result<Header, PlyError> {
-    let file = regular::open(path).map_err(|source| PlyError::Io { path: path.to_owned(), source })?;
-    read_header(&mut io::BufReader::new(file))
-        .map_err(|reason| PlyError::Format { path: path.to_owned(), reason })
+/// The error of a file that is no cloud of this project, or is damaged.
+fn unfit(path: &Path, reason: &str) -> FileError {
+    FileError::of(path)(format!("{reason}; expected a binary PLY as `fourdbody reconstruct` writes it"))
 }
 
-/// Reads the header of a file and makes sure that the file is as long as it says, without reading the points.
-pub fn load_whole_header(path: &Path) -> Result<Header, PlyError> {
-    let fail = |source| PlyError::Io { path: path.to_owned(), source };
-    let file = regular::open(path).map_err(fail)?;
-    let found = file.metadata().map_err(fail)?.len();
-    let mut input = io::BufReader::new(file);
-    let format = |reason| PlyError::Format { path: path.to_owned(), reason };
-    let header = read_header(&mut input).map_err(format)?;
+/// Opens a file; its length in bytes.
+fn open(path: &Path) -> Result<(io::BufReader<File>, u64), FileError> {
+    let file = regular::open(path).map_err(FileError::of(path))?;
+    let bytes = file.metadata().map_err(FileError::of(path))?.len();
+    Ok((io::BufReader::new(file), bytes))
+}
+
+/// Reads the header of a file.
+pub fn load_header(path: &Path) -> Result<Header, FileError> {
+    read_header(&mut open(path)?.0).map_err(|reason| unfit(path, &reason))
+}
+
+/// Reads the header of a file and makes sure that the file is as long as it states, without reading the points.
+pub fn load_whole_header(path: &Path) -> Result<Header, FileError> {
+    let (mut input, found) = open(path)?;
+    let header = read_header(&mut input).map_err(|reason| unfit(path, &reason))?;
     let points = (header.points as u64).checked_mul(header.layout().stride() as u64);
     let stated = points.and_then(|bytes| bytes.checked_add(input.stream_position().ok()?));
     if stated != Some(found) {
-        return Err(format(format!("{} points announced, the file has {found} bytes", header.points)));
+        return Err(unfit(path, &format!("{} points announced, the file has {found} bytes", header.points)));
     }
     Ok(header)
 }
 
-/// Reads a file.
-pub fn load(path: &Path) -> Result<(Header, Cloud), PlyError> {
-    let fail = |source| PlyError::Io { path: path.to_owned(), source };
-    let file = regular::open(path).map_err(fail)?;
-    let bytes = file.metadata().map_err(fail)?.len();
-    read_at_most(io::BufReader::new(file), bytes)
-        .map_err(|reason| PlyError::Format { path: path.to_owned(), reason })
+/// Reads a file: its header, and its cloud.
+pub fn load(path: &Path) -> Result<(Header, Cloud), FileError> {
+    let (input, bytes) = open(path)?;
+    read_at_most(input, bytes).map_err(|reason| unfit(path, &reason))
 }
 
-/// Reads a cloud; an error says what was found instead.
+/// Reads a cloud; an error states what was found instead.
 pub fn read(input: impl BufRead) -> Result<(Header, Cloud), String> {
     read_at_most(input, 0)
 }
 
-/// Reads a cloud from data that are known to have so many bytes (0: not known).
+/// Reads a cloud from data that are known to have this number of bytes (0: not known).
 fn read_at_most(mut input: impl BufRead, bytes: u64) -> Result<(Header, Cloud), String> {
     let header = read_header(&mut input)?;
     let layout = header.layout();
@@ -262,57 +242,28 @@ fn read_at_most(mut input: impl BufRead, bytes: u64) -> Result<(Header, Cloud), 
     cloud.pixel.reserve_exact(room);
     cloud.camera.reserve_exact(if layout.merged { room } else { 0 });
     cloud.sigma_m.reserve_exact(if layout.sigma { room } else { 0 });
-    for_each_part(&mut input, &header, |part| {
+    let mut bytes = vec![0; layout.stride() * POINTS_AT_ONCE];
+    let mut left = header.points;
+    while left > 0 {
+        let count = left.min(POINTS_AT_ONCE);
+        let part = &mut bytes[..count * layout.stride()];
+        input.read_exact(part).map_err(|e| {
+            format!("{} points announced, the data end after {} ({e})", header.points, header.points - left)
+        })?;
         for point in part.chunks_exact(layout.stride()) {
-            // A hole of the file: no point has a normal without a length.
+            // Zeros are a hole of a file that was cut: no point has a normal of length 0.
             if point[..POINT_BYTES].iter().all(|byte| *byte == 0) {
                 return Err("a point of zeros alone: the file was not written to its end".to_owned());
             }
             push(&mut cloud, point, layout);
         }
-        Ok(())
-    })?;
-    Ok((header, cloud))
-}
-
-/// Hands on the bytes of all points, some thousand at a time, and makes sure that there are just so many.
-fn for_each_part(
-    input: &mut impl BufRead,
-    header: &Header,
-    mut take: impl FnMut(&[u8]) -> Result<(), String>,
-) -> Result<(), String> {
-    let stride = header.layout().stride();
-    let mut bytes = vec![0; stride * POINTS_AT_ONCE];
-    let mut left = header.points;
-    while left > 0 {
-        let count = left.min(POINTS_AT_ONCE);
-        let part = &mut bytes[..count * stride];
-        input.read_exact(part).map_err(|e| {
-            format!("{} points announced, the data end after {} ({e})", header.points, header.points - left)
-        })?;
-        take(part)?;
         left -= count;
     }
     match input.read(&mut [0]) {
-        Ok(0) => Ok(()),
+        Ok(0) => Ok((header, cloud)),
         Ok(_) => Err(format!("there are more data than the {} points announced", header.points)),
         Err(e) => Err(e.to_string()),
     }
-}
-
-/// The points of a file as they lie in it, each cut to the 28 bytes of its seven floats and the byte of its camera:
-/// what a sequence packs. `take` gets the number of points first, then calls of some thousand points.
-pub fn stream(
-    path: &Path,
-    mut take: impl FnMut(usize, &[u8], usize) -> Result<(), String>,
-) -> Result<(), PlyError> {
-    let file = regular::open(path).map_err(|source| PlyError::Io { path: path.to_owned(), source })?;
-    let mut input = io::BufReader::new(file);
-    let mut stream = || {
-        let header = read_header(&mut input)?;
-        for_each_part(&mut input, &header, |part| take(header.points, part, header.layout().stride()))
-    };
-    stream().map_err(|reason| PlyError::Format { path: path.to_owned(), reason })
 }
 
 fn push(cloud: &mut Cloud, point: &[u8], layout: Layout) {
@@ -331,55 +282,57 @@ fn push(cloud: &mut Cloud, point: &[u8], layout: Layout) {
     }
 }
 
-fn read_header(input: &mut impl BufRead) -> Result<Header, String> {
+/// The lines of a PLY file's header before `end_header`; the input stands behind it then. Any PLY file has such lines.
+pub fn header_lines(input: &mut impl BufRead) -> Result<Vec<String>, String> {
     let mut limited = input.take(MAX_HEADER_BYTES);
-    let mut line = || -> Result<String, String> {
-        let mut bytes = Vec::new();
-        limited.read_until(b'\n', &mut bytes).map_err(|e| e.to_string())?;
-        if bytes.pop() != Some(b'\n') {
+    let mut lines = Vec::new();
+    loop {
+        let mut line = Vec::new();
+        limited.read_until(b'\n', &mut line).map_err(|e| e.to_string())?;
+        if line.pop() != Some(b'\n') {
             return Err(format!("the header does not end within {MAX_HEADER_BYTES} bytes"));
         }
-        String::from_utf8(bytes).map_err(|_| "the header is not text".to_owned())
-    };
+        let line = String::from_utf8(line).map_err(|_| "the header is not text".to_owned())?;
+        if line.trim_end() == "end_header" {
+            return Ok(lines);
+        }
+        lines.push(line);
+    }
+}
+
+fn read_header(input: &mut impl BufRead) -> Result<Header, String> {
+    let lines = header_lines(input)?;
+    let mut lines = lines.iter().map(String::as_str);
     for expected in ["ply", "format binary_little_endian 1.0"] {
-        let found = line()?;
+        let found = lines.next().unwrap_or_default();
         if found != expected {
             return Err(format!("expected the line {expected:?}, found {found:?}"));
         }
     }
     let mut comments = Vec::new();
     let points = loop {
-        let text = line()?;
+        let text = lines.next().unwrap_or_default();
         if let Some(comment) = text.strip_prefix("comment ") {
             comments.push(comment.to_owned());
         } else if let Some(count) = text.strip_prefix("element vertex ") {
-            let count = count.parse::<usize>().map_err(|e| format!("{text:?}: {e}"))?;
-            if count > POINTS_MAX {
-                return Err(format!("expected at most {POINTS_MAX} points, found {count}"));
-            }
-            break count;
+            break count.parse::<usize>().map_err(|e| format!("{text:?}: {e}"))?;
         } else {
             return Err(format!("expected the element vertex, found {text:?}"));
         }
     };
-    for (kind, name) in PROPERTIES {
-        let (expected, found) = (format!("property {kind} {name}"), line()?);
-        if found != expected {
-            return Err(format!("expected the line {expected:?}, found {found:?}"));
-        }
+    if points > POINTS_MAX {
+        return Err(format!("expected at most {POINTS_MAX} points, found {points}"));
     }
-    let mut last = line()?;
-    let mut has = |(kind, name): (&str, &str)| -> Result<bool, String> {
-        let found = last == format!("property {kind} {name}");
-        if found {
-            last = line()?;
-        }
-        Ok(found)
+    let found: Vec<&str> = lines.collect();
+    let is_found = |layout: &Layout| {
+        let expected = layout.properties().map(|(kind, name)| format!("property {kind} {name}"));
+        expected.eq(found.iter().copied())
     };
-    let (merged, sigma) = (has(CAMERA)?, has(SIGMA)?);
-    if last != "end_header" {
-        return Err(format!("expected the end of the header, found {last:?}"));
-    }
+    let layouts = [(false, false), (false, true), (true, false), (true, true)];
+    let layout = layouts.map(|(merged, sigma)| Layout { merged, sigma }).into_iter().find(is_found);
+    let Layout { merged, sigma } = layout.ok_or_else(|| {
+        format!("expected x y z intensity nx ny nz u v, camera and sigma at most, found {}", found.join(", "))
+    })?;
     Ok(Header { points, merged, sigma, comments })
 }
 

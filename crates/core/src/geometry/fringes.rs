@@ -16,62 +16,13 @@ pub struct Fringes {
     pub marker_period_px: f64,
 }
 
-/// Why fringes cannot be used.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-pub enum Unusable {
-    /// The place is not seen by both.
-    #[error(
-        "camera and projector do not both see the middle of the volume; check position_m and look_at_m of the two"
-    )]
-    Unseen,
-    /// A step to the next column changes the phase by less than one to the next row.
-    #[error(
-        "the fringes run along the image columns, expected them across: a step of one image column is {across:.2} px on the \
-         panel across the fringes, one of one row {along:.2} px; check roll_deg of camera and projector"
-    )]
-    AlongColumns {
-        /// Panel columns of an image column.
-        across: f64,
-        /// Panel columns of an image row.
-        along: f64,
-    },
-    /// The surface moves along the fringes when it moves away, so that its distance does not show in them.
-    #[error(
-        "the fringes run along the line from camera to projector, expected them across it: the distance of what they \
-         light does not move them; check roll_deg and position_m of the two"
-    )]
-    AlongBaseline,
-    /// Too fine or too wide for the stages that look for them.
-    #[error(
-        "expected fringes with a period of {} to {} px in the image, found {period_px:.1} px; check period_px of the pattern, \
-         focal_px and the distance",
-        PERIOD_PX.0,
-        PERIOD_PX.1
-    )]
-    Period {
-        /// Found.
-        period_px: f64,
-    },
-    /// The same of the marker's modulation.
-    #[error(
-        "expected a marker that changes along itself with a period of {} to {} px in the image, found {period_px:.1} px; check \
-         the pattern's marker_period_px",
-        MARKER_PERIOD_PX.0,
-        MARKER_PERIOD_PX.1
-    )]
-    MarkerPeriod {
-        /// Found.
-        period_px: f64,
-    },
-}
-
 /// Fringe periods of which the phase can be found, px.
 const PERIOD_PX: (f64, f64) = (4.0, 40.0);
-/// What filters the marker is as long as one of its periods, px.
+/// Periods of the marker that its filter can have, px: the filter is one period long.
 const MARKER_PERIOD_PX: (f64, f64) = (2.0, 200.0);
 
 impl Fringes {
-    /// As a camera sees them at `middle`, world, m.
+    /// The fringes as a camera sees them at `middle`, world, m.
     ///
     /// # Errors
     /// They are not seen there, or not in a form of which the phase can be found.
@@ -80,24 +31,43 @@ impl Fringes {
         projector: &Device,
         pattern: &Pattern,
         middle: &Point3<f64>,
-    ) -> Result<Self, Unusable> {
-        let (across, along) = panel_steps(camera, projector, middle).ok_or(Unusable::Unseen)?;
+    ) -> Result<Self, String> {
+        const UNSEEN: &str = "camera and projector do not both see the middle of the volume; check position_m and \
+                              look_at_m of the two";
+        let (across, along) = panel_steps(camera, projector, middle).ok_or(UNSEEN)?;
         let column = across[0].abs();
         // Where fringes run along the columns their period across them has no meaning.
         if column <= across[1].abs() {
-            return Err(Unusable::AlongColumns { across: column, along: along[0].abs() });
+            return Err(format!(
+                "the fringes run along the image columns, expected them across: a step of one image column \
+                 is {column:.2} \
+                 px on the panel across the fringes, one of one row {:.2} px; check roll_deg of camera and projector",
+                along[0].abs()
+            ));
         }
-        let [by_depth, beside] = depth_steps(camera, projector, middle).ok_or(Unusable::Unseen)?;
+        // Else the surface moves along the fringes when it moves away, so that its distance does not show in them.
+        let [by_depth, beside] = depth_steps(camera, projector, middle).ok_or(UNSEEN)?;
         if by_depth.abs() <= beside.abs() {
-            return Err(Unusable::AlongBaseline);
+            let message = "the fringes run along the line from camera to projector, expected them across \
+                 it: the distance \
+                           of what they light does not move them; check roll_deg and position_m of the two";
+            return Err(message.to_owned());
         }
         let period_px = pattern.period_px / column;
         if !(PERIOD_PX.0..=PERIOD_PX.1).contains(&period_px) {
-            return Err(Unusable::Period { period_px });
+            let (least, most) = PERIOD_PX;
+            return Err(format!(
+                "expected fringes with a period of {least} to {most} px in the image, found {period_px:.1} px; check \
+                 period_px of the pattern, focal_px and the distance"
+            ));
         }
         let marker_period_px = pattern.marker_period_px / along[1].abs().max(1e-3);
         if !(MARKER_PERIOD_PX.0..=MARKER_PERIOD_PX.1).contains(&marker_period_px) {
-            return Err(Unusable::MarkerPeriod { period_px: marker_period_px });
+            let (least, most) = MARKER_PERIOD_PX;
+            return Err(format!(
+                "expected a marker that changes along itself with a period of {least} to {most} px in the image, found \
+                 {marker_period_px:.1} px; check the pattern's marker_period_px"
+            ));
         }
         Ok(Self { sign: across[0].signum(), period_px, marker_period_px })
     }

@@ -11,9 +11,9 @@ pub struct Lens {
     pub fx: f64,
     /// Focal length along v, px.
     pub fy: f64,
-    /// Principal point, column, px.
+    /// Column of the principal point, px.
     pub cx: f64,
-    /// Principal point, row, px.
+    /// Row of the principal point, px.
     pub cy: f64,
     /// `[k1, k2, p1, p2, k3]`.
     pub distortion: [f64; 5],
@@ -66,7 +66,7 @@ impl Lens {
         ]
     }
 
-    /// d(distorted)/d(x, y), rows first.
+    /// The derivatives of [`Self::distorted`] by x and y, a row for each of its coordinates.
     pub fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 2] {
         let [k1, k2, p1, p2, k3] = self.distortion;
         let r2 = x * x + y * y;

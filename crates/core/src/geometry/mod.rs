@@ -13,7 +13,7 @@ mod motion;
 pub mod pattern;
 mod pose;
 
-pub use fringes::{Fringes, Unusable};
+pub use fringes::Fringes;
 pub use lens::Lens;
 pub use motion::best_motion;
 pub use pose::{Pose, look_at};
@@ -29,7 +29,6 @@ pub struct Device {
     pub width: usize,
     /// Rows of the sensor or panel.
     pub height: usize,
-    /// Intrinsics and distortion.
     pub lens: Lens,
     /// Takes device coordinates to world coordinates.
     pub world_from_device: Pose,

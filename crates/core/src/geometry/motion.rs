@@ -4,8 +4,8 @@
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 /// The rigid motion that takes the first point of each pair to the second with the least sum of squares (Kabsch 1976;
-/// no scale). `None` for fewer than three pairs, and where a coordinate is not finite. Points on one line leave the turn
-/// about it open: any of them is returned then.
+/// no scale). `None` for fewer than three pairs, and where a coordinate is not finite. Points on one line leave the
+/// turn about it open: any of them is returned then.
 pub fn best_motion(pairs: &[(Point3<f64>, Point3<f64>)]) -> Option<Isometry3<f64>> {
     let finite = pairs.iter().all(|(a, b)| a.iter().chain(b.iter()).all(|x| x.is_finite()));
     if pairs.len() < 3 || !finite {

@@ -10,7 +10,7 @@ use crate::base::image::Plane;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{PI, TAU};
 
-/// Everything that reconstruction must know of what is projected.
+/// The projected pattern, with all that reconstruction needs of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pattern {
@@ -43,7 +43,7 @@ fn is_zero(number: &u32) -> bool {
 pub enum Marker {
     /// Lobe times `1 - depth (1/2 - 1/2 cos)`: easily seen, but biases the phase under it.
     Darkened {
-        /// 0 to 1.
+        /// Share of the lobe's light that the dark parts lack, 0 to 1.
         depth: f64,
     },
     /// Lobe times `1 + amplitude cos`, mean 1: does not bias the phase averaged over one marker period.

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 #[serde(try_from = "PoseFile", into = "PoseFile")]
 pub struct Pose {
     isometry: Isometry3<f64>,
-    /// The rotation as the file has it, so that what is read and written again is the same to the last digit: results are tied to
-    /// the digest of their calibration.
+    /// The rotation as the file has it, so that what is read and written again is the same to the last digit: results
+    /// are tied to the digest of their calibration.
     rows: [[f64; 3]; 3],
 }
 
@@ -22,7 +22,7 @@ struct PoseFile {
 }
 
 impl Pose {
-    /// Wraps an isometry.
+    /// The pose of an isometry, whose rotation matrix goes to files.
     pub fn new(isometry: Isometry3<f64>) -> Self {
         let matrix = isometry.rotation.to_rotation_matrix();
         let row = |r: usize| [matrix[(r, 0)], matrix[(r, 1)], matrix[(r, 2)]];
@@ -37,7 +37,8 @@ impl Pose {
         let orthonormal = (matrix * matrix.transpose() - Matrix3::identity()).abs().max() < 1e-6;
         if !finite || !orthonormal || matrix.determinant() < 0.0 {
             return Err(format!(
-                "expected a rotation matrix (rows orthonormal, determinant +1) and a finite translation, found {rotation:?}, {translation_m:?}"
+                "expected a rotation matrix (rows orthonormal, determinant +1) and a finite translation, \
+                 found {rotation:?}, {translation_m:?}"
             ));
         }
         let turned = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
@@ -45,7 +46,7 @@ impl Pose {
         Ok(Self { isometry, rows: rotation })
     }
 
-    /// The transform itself.
+    /// The transform, to be applied to points.
     pub fn isometry(&self) -> &Isometry3<f64> {
         &self.isometry
     }

@@ -1,20 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whether the files of a result belong together. Each file states its session, parameters, trigger and camera; it is held against its
-//! name, against `reconstruct.json` and against `summary.json`.
+//! Whether the files of a result belong together. Each file states its session, parameters, trigger and camera; it is
+//! held against its name, against `reconstruct.json` and against `summary.json`.
 //!
-//! What is *foreign* says something else than these three: it is not used. What is *missing* has points by the summary and is not there.
-//! What the summary says nothing of, because the last run was one over other triggers, is left out: nothing says how it went.
+//! What is *foreign* states something else than these three: it is not used. What is *missing* has points by the
+//! summary and is not there. What the summary does not have, because the last run was one over other triggers, is
+//! left out: its outcome is not known.
 
-use super::collect_shards::{load_summary, named, summary_path};
+use super::files::{named, summary_path};
 use super::key::Key;
-use super::summary::{FrameSummary, TriggerSummary};
+use super::summary::{FrameSummary, TriggerSummary, load_summary};
 use crate::formats::{CloudSource, Commented};
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::Path;
 use std::time::SystemTime;
 
-/// What the files of a result are held against; nothing where a directory has no result's descriptions.
+/// What the files of a result must state; nothing where a directory has no descriptions of a result.
 #[derive(Debug, Default)]
 pub struct Expected {
     /// Of all files: comments as `session ID` and `parameters HASH`.
@@ -29,7 +30,7 @@ pub struct Expected {
 }
 
 impl Expected {
-    /// What a directory says of its files.
+    /// What the descriptions in a directory state of its files.
     ///
     /// # Errors
     /// Its descriptions cannot be read, or are of two results.
@@ -44,7 +45,8 @@ impl Expected {
         if !path.exists() {
             let unfinished = || {
                 format!(
-                    "{}: not there; the run has not been finished, so that nobody knows what is missing: run `fourdbody reconstruct` again",
+                    "{}: not there; the run has not been finished, so that it is not known what is missing: \
+                     run `fourdbody reconstruct` again",
                     path.display()
                 )
             };
@@ -56,7 +58,8 @@ impl Expected {
             && (&summary.session.id, &summary.parameters) != (&key.session.id, &key.parameters())
         {
             return Err(format!(
-                "{}: of the session {} with the parameters {}, but reconstruct.json is of {} with {}; run `fourdbody reconstruct` again",
+                "{}: of the session {} with the parameters {}, but reconstruct.json is of {} with {}; run \
+                 `fourdbody reconstruct` again",
                 path.display(),
                 summary.session,
                 summary.parameters,
@@ -89,13 +92,13 @@ impl Expected {
         self.time_base.as_deref()
     }
 
-    /// Whether the summary has this trigger, or there is none.
+    /// Whether the summary has this trigger, or there is no summary.
     pub fn speaks_of(&self, trigger: u64) -> bool {
         self.points.as_ref().is_none_or(|points| points.contains_key(&trigger))
     }
 
-    /// Holds the comments of a file, and the number of its points where it is read whole, against what its name says: the trigger, and
-    /// the camera where it is a directional cloud.
+    /// Holds the comments of a file, and the number of its points where it is read whole, against its name: the
+    /// trigger, and the camera where it is a directional cloud.
     ///
     /// # Errors
     /// It is of something else; of what, and what was expected.
@@ -111,39 +114,42 @@ impl Expected {
             let Some((key, _)) = expected.split_once(' ') else { continue };
             let is_of_key =
                 |comment: &&String| comment.strip_prefix(key).is_some_and(|rest| rest.starts_with(' '));
-            // Files of other programs, and of older versions, state less.
+            // A key that a file does not state is not compared: files of other programs and of older versions state
+            // less.
             if let Some(found) = comments.iter().find(is_of_key).filter(|found| *found != expected) {
                 return Err(format!(
                     "it is of {found}, expected {expected}: a file of something else, or a wrong name"
                 ));
             }
         }
-        let of_trigger = self.points.as_ref().and_then(|points| points.get(&trigger));
-        let stated = match (of_trigger, camera) {
+        let stated = match (self.at(trigger), camera) {
             (Some(frames), Some(camera)) => {
-                Some(*frames.get(camera).ok_or("summary.json says that this frame has no cloud")?)
+                Some(*frames.get(camera).ok_or("by summary.json this frame has no cloud")?)
             }
             (_, None) => self.merged_points.get(&trigger).copied(),
             (None, _) => None,
         };
         match points.zip(stated) {
             Some((points, stated)) if points != stated => {
-                Err(format!("it has {points} points, summary.json says {stated}"))
+                Err(format!("it has {points} points, summary.json states {stated}"))
             }
             _ => Ok(()),
         }
     }
 
+    /// Points of a trigger's frames by camera.
+    fn at(&self, trigger: u64) -> Option<&BTreeMap<String, usize>> {
+        self.points.as_ref()?.get(&trigger)
+    }
+
     /// The cameras that have a file of a trigger by the summary.
     pub fn cameras_at(&self, trigger: u64) -> BTreeSet<String> {
-        let of_trigger = self.points.as_ref().and_then(|points| points.get(&trigger));
-        of_trigger.into_iter().flat_map(|frames| frames.keys().cloned()).collect()
+        self.at(trigger).into_iter().flat_map(|frames| frames.keys().cloned()).collect()
     }
 
     /// Whether a trigger has points by the summary.
     pub fn has_points(&self, trigger: u64) -> bool {
-        let of_trigger = self.points.as_ref().and_then(|points| points.get(&trigger));
-        of_trigger.is_some_and(|frames| frames.values().any(|points| *points > 0))
+        self.at(trigger).is_some_and(|frames| frames.values().any(|points| *points > 0))
     }
 
     /// The triggers that have points by the summary.
@@ -153,14 +159,13 @@ impl Expected {
 
     /// The cameras that have points at a trigger by the summary, and no file.
     pub fn missing_at(&self, trigger: u64, there: &Listed) -> impl Iterator<Item = &str> {
-        let of_trigger = self.points.as_ref().and_then(|points| points.get(&trigger));
-        let lit = of_trigger.into_iter().flatten().filter(|(_, points)| **points > 0);
+        let lit = self.at(trigger).into_iter().flatten().filter(|(_, points)| **points > 0);
         let there = there.get(&trigger).cloned().unwrap_or_default();
         lit.map(|(camera, _)| camera.as_str()).filter(move |camera| !there.contains(*camera))
     }
 
-    /// What is amiss with the cameras' files that are there, a sentence each: those of these triggers and cameras that are missing, and
-    /// what has to be left out.
+    /// A sentence for each camera whose files are missing at these triggers, and one for the files that must be left
+    /// out.
     pub fn amiss(
         &self,
         there: &Listed,
@@ -184,7 +189,8 @@ impl Expected {
         if !unknown.is_empty() {
             let left_out = named(&unknown);
             amiss.push(format!(
-                "LEFT OUT  {left_out}: summary.json says nothing of them; run `fourdbody reconstruct` over all triggers, which keeps what is finished"
+                "LEFT OUT  {left_out}: summary.json does not have them; run `fourdbody reconstruct` over \
+                 all triggers, which keeps what is finished"
             ));
         }
         amiss
@@ -200,7 +206,8 @@ pub fn listed(source: &dyn CloudSource) -> Listed {
     source.triggers().iter().map(|(trigger, places)| (*trigger, places.iter().map(name).collect())).collect()
 }
 
-/// Clouds each of which is held against what the result says of it.
+/// Clouds, each of which is held against what the result states of it. Whoever reads a result makes it around the
+/// source of its clouds; it refuses each file that is of something else, and lasts as long as the source.
 pub struct Held<'a> {
     source: &'a dyn CloudSource,
     expected: &'a Expected,
@@ -208,7 +215,7 @@ pub struct Held<'a> {
 }
 
 impl<'a> Held<'a> {
-    /// Those of a source that the result speaks of.
+    /// The clouds of a source whose triggers the summary has.
     pub fn new(source: &'a dyn CloudSource, expected: &'a Expected) -> Self {
         let all = source.triggers().iter().filter(|(trigger, _)| expected.speaks_of(**trigger));
         Self {
@@ -270,12 +277,12 @@ mod tests {
         assert_eq!(hold("h0_up", 3, 7, &own), Ok(()));
         assert_eq!(hold("h0_up", 3, 7, &[]), Ok(()), "what states nothing is of another program, or older");
         let foreign = |camera, trigger, points, comments: &[String], words: &str| {
-            let said = hold(camera, trigger, points, comments).expect_err(words);
-            assert!(said.contains(words), "{said}");
+            let error = hold(camera, trigger, points, comments).expect_err(words);
+            assert!(error.contains(words), "{error}");
         };
         foreign("h0_up", 4, 7, &own, "it is of trigger 3, expected trigger 4");
         foreign("h0_low", 3, 7, &own, "it is of camera h0_up, expected camera h0_low");
-        foreign("h0_up", 3, 8, &own, "it has 8 points, summary.json says 7");
+        foreign("h0_up", 3, 8, &own, "it has 8 points, summary.json states 7");
         let mut other = own.clone();
         other[3] = "session 02".to_owned();
         foreign("h0_up", 3, 7, &other, "it is of session 02, expected session 01");

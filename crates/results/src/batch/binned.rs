@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Rows of a frame added up, so that a frame takes a part of the time: the image before the first stage, and the calibration that goes
-//! with it. Fringes run along the rows of the scene and across the columns of the image, so that sums of few rows lose little of them.
+//! Rows of a frame added up, so that a frame takes a part of the time: the image before the first stage, and the
+//! calibration that goes with it. Fringes run along the rows of the scene and across the columns of the image, so
+//! that sums of few rows lose little of them.
 
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::{Mono8, Plane};
@@ -8,20 +9,20 @@ use crate::data::{Frame, FrameSource, LostPart, SessionIdentity, SourceStatement
 use std::ops::Range;
 use std::path::PathBuf;
 
-/// Rows that may be added up: the marker, which changes along the columns, must be left, and a device that has turned must be noticed
-/// (docs/design/reconstruction.md, Fewer rows).
+/// Rows that may be added up: the marker, which changes along the columns, must be left, and a device that has turned
+/// must be noticed (docs/design/reconstruction.md, Fewer rows).
 pub const MOST_ROWS: usize = 3;
 
-/// A source whose frames are those of another one, so many rows of which make one.
+/// A source whose frames are those of another one, with fewer rows.
 pub struct BinnedSource {
     source: Box<dyn FrameSource>,
     rows: usize,
 }
 
 impl BinnedSource {
-    /// `rows` of `source` make one row; at least 1.
-    pub fn new(source: Box<dyn FrameSource>, rows: usize) -> Self {
-        Self { source, rows: rows.max(1) }
+    /// A source in which `rows` rows of `source` make one row; with 1 that is the source itself.
+    pub fn around(source: Box<dyn FrameSource>, rows: usize) -> Box<dyn FrameSource> {
+        if rows > 1 { Box::new(Self { source, rows }) } else { source }
     }
 }
 
@@ -65,7 +66,7 @@ impl FrameSource for BinnedSource {
     }
 }
 
-/// Means of so many rows, rounded; rows at the end that do not fill one are left out.
+/// Means of this number of rows each, rounded; rows at the end that do not fill one are left out.
 fn binned(image: Mono8<'_>, rows: usize) -> Plane<u8> {
     let (width, height) = (image.width(), image.height() / rows);
     let mut out = Plane::filled(width, height, 0u8);

@@ -3,100 +3,35 @@
 //!
 //! ```text
 //! OUT/clouds, merged, phases      what the shards have written: each file belongs to one of them
-//! OUT/summary-I-of-N.json         what a shard says of its triggers, written when all its files are there
+//! OUT/summary-I-of-N.json         the summary of a shard, written when all its files are there
 //! OUT/summary.json, sequence.mcap what is made of them
 //! ```
 //!
-//! Nothing is taken on trust: a shard counts when its summary was made of this session with these parameters, for just these triggers and
-//! cameras, and every file that it speaks of is there, whole, and made with the same parameters. Of what shards have written,
-//! collecting changes the frames only that show another trigger ([`super::strangers`]), so that it may be done again at any time.
+//! Nothing is taken on trust: a shard counts when its summary was made of this session with these parameters, for
+//! just these triggers and cameras, and every file that it lists is there, whole, and made with the same
+//! parameters. Of what shards have written, collecting changes the frames only that show another trigger
+//! ([`super::strangers`]), so that it may be done again at any time.
 
-use super::from_phase_maps::phase_path;
+use super::files::{cameras_comment, merged_path, stated};
 use super::key::Key;
-use super::run::{self, Format, Plan, cloud_path, merged_path};
+use super::plan::{Format, Plan};
 use super::strangers;
 use super::summary::{FrameSummary, Summary, TriggerSummary};
 use crate::base::ids::CameraId;
-use crate::base::{STALE, json, regular, remove_stale};
+use crate::base::{Exit, Fault, json, regular};
 use crate::data::{Calibration, SessionIdentity};
-use crate::formats::{phase_file, ply};
+use crate::formats::ply;
 use rayon::prelude::*;
-use std::fmt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// Numbers of triggers that a message names.
-const NAMED: usize = 8;
+pub use super::files::{named, remove_leftovers, summary_path};
+pub use super::summary::load_summary;
 
-/// Where the summary of a run, or of one of its shards, is: `summary.json`, or `summary-0-of-4.json`.
-pub fn summary_path(out: &Path, shard: Option<(u64, u64)>) -> PathBuf {
-    match shard {
-        None => out.join("summary.json"),
-        Some((i, n)) => out.join(format!("summary-{i}-of-{n}.json")),
-    }
-}
+/// Shards that cannot be collected that a message names.
+const SHARDS_NAMED: usize = 100;
 
-/// The summary of a run over all triggers.
-pub fn load_summary(out: &Path) -> Result<Summary, String> {
-    let path = summary_path(out, None);
-    let text =
-        regular::read(&path, regular::SUMMARY_BYTES).map_err(|e| format!("{}: {e}", path.display()))?;
-    json::from_slice(&text).map_err(|e| format!("{}: {e}; another version wrote it", path.display()))
-}
-
-/// Removes temporary files that killed processes have left in a result's directories, as far as that goes.
-pub fn remove_leftovers(out: &Path) {
-    for folder in [".", "clouds", "merged", "phases"] {
-        // A directory that is not there has none.
-        let _ = remove_stale(&out.join(folder), STALE);
-    }
-}
-
-/// What a shard lacks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Lack {
-    /// It has not been run to its end, or files that it wrote are gone.
-    Work,
-    /// It was made with another calibration, method, algorithm, or of other frames.
-    Agreement,
-}
-
-/// A shard that cannot be collected.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ShardProblem {
-    /// Its number.
-    pub shard: u64,
-    /// What it lacks.
-    pub lack: Lack,
-    /// What was expected and found.
-    pub found: String,
-}
-
-/// Why nothing was collected.
-#[derive(Debug, thiserror::Error)]
-pub struct CollectError {
-    /// Number of shards.
-    pub shards: u64,
-    /// All that are not fit, in order.
-    pub problems: Vec<ShardProblem>,
-}
-
-impl fmt::Display for CollectError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let n = self.shards;
-        write!(
-            f,
-            "{} of {n} shards cannot be collected; run these again with the same options:",
-            self.problems.len()
-        )?;
-        for ShardProblem { shard, found, .. } in self.problems.iter().take(100) {
-            write!(f, "\n  --shard {shard}/{n}: {found}")?;
-        }
-        let more = self.problems.len().saturating_sub(100);
-        if more > 0 { write!(f, "\n  and {more} more") } else { Ok(()) }
-    }
-}
-
-/// The shards of one run over all triggers.
+/// The shards of one run over all triggers, as `reconstruct --collect` and `cluster submit` compare them with what is
+/// in the directory. They change nothing there; [`collect`] makes one summary of them when all are complete.
 pub struct Shards<'a> {
     /// The run; its own shard does not matter.
     plan: &'a Plan,
@@ -117,28 +52,22 @@ impl<'a> Shards<'a> {
         Ok(Self { plan, calibration, key, count: count.max(1) })
     }
 
-    /// Removes what killed processes have left.
-    pub fn remove_leftovers(&self) {
-        remove_leftovers(&self.plan.out);
-    }
-
-    /// What they are made of.
+    /// What all of them are made of.
     pub fn key(&self) -> &Key {
         &self.key
     }
 
-    /// What a shard says of its triggers. Its files are not looked at.
-    pub fn summary(&self, shard: u64) -> Result<Summary, ShardProblem> {
-        let problem = |lack, found| ShardProblem { shard, lack, found };
+    /// The summary of a shard. Its files are not checked. The fault: it has not been run to its end
+    /// ([`Exit::Failure`]), or was made with another calibration, method, algorithm, or of other frames
+    /// ([`Exit::Usage`]).
+    pub fn summary(&self, shard: u64) -> Result<Summary, Fault> {
         let path = summary_path(&self.plan.out, Some((shard, self.count)));
-        let text = regular::read(&path, regular::SUMMARY_BYTES).map_err(|e| {
-            problem(Lack::Work, format!("{}: {e}; it has not been run to its end", path.display()))
-        })?;
-        let summary: Summary = json::from_slice(&text).map_err(|e| {
-            problem(Lack::Agreement, format!("{}: {e}; it is of another version, or damaged", path.display()))
-        })?;
-        self.agrees(shard, &summary)
-            .map_err(|found| problem(Lack::Agreement, format!("{}: {found}", path.display())))?;
+        let fault = |exit, found: String| Fault::new(exit, format!("{}: {found}", path.display()));
+        let text = regular::read(&path, regular::SUMMARY_BYTES)
+            .map_err(|e| fault(Exit::Failure, format!("{e}; it has not been run to its end")))?;
+        let summary: Summary = json::from_slice(&text)
+            .map_err(|e| fault(Exit::Usage, format!("{e}; it is of another version, or damaged")))?;
+        self.agrees(shard, &summary).map_err(|found| fault(Exit::Usage, found))?;
         Ok(summary)
     }
 
@@ -150,7 +79,8 @@ impl<'a> Shards<'a> {
         let parameters = self.key.parameters();
         if summary.parameters != parameters {
             return Err(format!(
-                "made with the parameters {}, expected {parameters}: another calibration, method or algorithm (number {}, expected \
+                "made with the parameters {}, expected {parameters}: another calibration, method or \
+                 algorithm (number {}, expected \
                  {})",
                 summary.parameters, summary.algorithm, self.key.algorithm
             ));
@@ -180,7 +110,7 @@ impl<'a> Shards<'a> {
     }
 
     /// The summary of a shard whose files are all there.
-    fn complete(&self, shard: u64) -> Result<Summary, ShardProblem> {
+    fn complete(&self, shard: u64) -> Result<Summary, Fault> {
         let mut summary = self.summary(shard)?;
         let (out, formats) = (&self.plan.out, &self.plan.formats);
         let mut lacking = without_files(out, formats, &summary);
@@ -193,28 +123,38 @@ impl<'a> Shards<'a> {
             lacking = without_files(out, formats, &summary);
         }
         if !lacking.is_empty() {
-            let found = format!("no whole files of {}", named(&lacking));
-            return Err(ShardProblem { shard, lack: Lack::Work, found });
+            return Err(format!("no whole files of {}", named(&lacking)).into());
         }
         Ok(summary)
     }
 }
 
-/// Merges what all shards say, on the current rayon pool: the summary of one run over all triggers. Nothing is written.
-pub fn collect(shards: &Shards<'_>) -> Result<Summary, CollectError> {
+/// Merges the summaries of all shards, on the current rayon pool: the summary of one run over all triggers. Nothing
+/// is written. The fault names all shards that are not fit.
+pub fn collect(shards: &Shards<'_>) -> Result<Summary, Fault> {
     let found: Vec<_> = (0..shards.count).into_par_iter().map(|shard| shards.complete(shard)).collect();
     let (mut merged, mut problems, mut time_base) = (Vec::new(), Vec::new(), None);
-    for shard in found {
-        match shard {
+    for (shard, found) in found.into_iter().enumerate() {
+        match found {
             Ok(summary) => {
                 merged.extend(summary.triggers);
                 time_base = time_base.or(summary.time_base);
             }
-            Err(problem) => problems.push(problem),
+            Err(problem) => problems.push((shard, problem)),
         }
     }
     if !problems.is_empty() {
-        return Err(CollectError { shards: shards.count, problems });
+        let (n, count) = (shards.count, problems.len());
+        let mut message =
+            format!("{count} of {n} shards cannot be collected; run these again with the same options:");
+        for (shard, problem) in problems.iter().take(SHARDS_NAMED) {
+            message += &format!("\n  --shard {shard}/{n}: {problem}");
+        }
+        if count > SHARDS_NAMED {
+            message += &format!("\n  and {} more", count - SHARDS_NAMED);
+        }
+        let is_unfinished = problems.iter().all(|(_, problem)| problem.exit == Exit::Failure as u8);
+        return Err(Fault::new(if is_unfinished { Exit::Failure } else { Exit::Usage }, message));
     }
     merged.sort_by_key(|t| t.trigger);
     Ok(Summary { time_base, ..Summary::of(merged, &shards.key, shards.plan, shards.calibration) })
@@ -229,7 +169,7 @@ pub fn without_files(out: &Path, formats: &[Format], summary: &Summary) -> Vec<u
     lacking.map(|trigger| trigger.trigger).collect()
 }
 
-/// The files that a summary speaks of.
+/// The files that must be there by a summary.
 struct Stated<'a> {
     out: &'a Path,
     format: Format,
@@ -239,7 +179,7 @@ struct Stated<'a> {
 
 impl Stated<'_> {
     fn has_files(&self, trigger: &TriggerSummary) -> bool {
-        let together = run::cameras_comment(trigger.frames.iter().map(|frame| &frame.camera));
+        let together = cameras_comment(trigger.frames.iter().map(|frame| &frame.camera));
         let directional =
             trigger.frames.iter().all(|frame| self.has_frame(trigger.trigger, frame, &together));
         directional && (self.format == Format::Phase || self.has_merged(trigger))
@@ -249,19 +189,10 @@ impl Stated<'_> {
         if !matches!(&*frame.outcome, "cloud" | "refused") {
             return true;
         }
-        let (points, comments) = match self.format {
-            Format::Ply => {
-                let path = cloud_path(self.out, &frame.camera, trigger);
-                let Ok(header) = ply::load_whole_header(&path) else { return false };
-                (header.points, header.comments)
-            }
-            Format::Phase => {
-                let path = phase_path(self.out, frame.camera.as_str(), trigger);
-                let Ok(statement) = phase_file::load_statement(&path) else { return false };
-                (statement.points, statement.comments)
-            }
-        };
-        points == frame.points && comments.contains(&self.parameters) && comments.contains(together)
+        let Some(found) = stated(self.out, self.format, &frame.camera, trigger) else { return false };
+        found.points == frame.points
+            && found.comments.contains(&self.parameters)
+            && found.comments.contains(together)
     }
 
     /// Of a trigger without points there is none.
@@ -273,16 +204,5 @@ impl Stated<'_> {
         header.is_ok_and(|header| {
             Some(header.points) == trigger.merged_points && header.comments.contains(&self.parameters)
         })
-    }
-}
-
-/// Triggers as a message names them.
-pub fn named(list: &[u64]) -> String {
-    let some: Vec<String> = list.iter().take(NAMED).map(u64::to_string).collect();
-    match (list.len(), list.len().saturating_sub(NAMED)) {
-        (0, _) => "none".to_owned(),
-        (1, _) => format!("trigger {}", some.join("")),
-        (_, 0) => format!("triggers {}", some.join(", ")),
-        (_, more) => format!("triggers {} and {more} more", some.join(", ")),
     }
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The maps of a frame as pictures, for people: `DIRECTORY/CAMERA_INDEX_MAP.png`.
 //!
-//! Phases are drawn as hue-less saw teeth (one period of grey from black to white), all other maps from 0
+//! Phases are drawn as saw teeth (one period of grey from black to white), all other maps from 0
 //! (black) to their largest value (white). Undefined pixels are dark blue.
 
 use crate::base::image::{Plane, write_png_rgb};

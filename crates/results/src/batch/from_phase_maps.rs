@@ -5,17 +5,16 @@
 //! IN/phases/CAMERA_INDEX.phase   one phase map, as `fourdbody reconstruct` writes it
 //! ```
 
-use super::belonging::{Expected, Listed};
-use super::collect_shards::{load_summary, remove_leftovers, summary_path};
-use super::key::{Key, KeyError};
-use super::run::{cloud_path, merged_path, time_by_index_ns};
-use super::summary::Summary;
-use crate::base::write_whole;
+use super::belonging::{Expected, listed};
+use super::files::{cloud_path, merged_path, phase_path, remove_leftovers, summary_path, time_by_index_ns};
+use super::key::Key;
+use super::summary::{Summary, load_summary};
+use crate::base::{Exit, Fault, write_whole};
 use crate::data::{CalibratedCamera, Calibration, Cloud};
 use crate::formats::phase_file::{self, Statement};
 use crate::formats::sequence::SequenceWriter;
-use crate::formats::{CloudSource, Commented, ply};
-use crate::merge::{self, Rule, View, Viewpoint};
+use crate::formats::{CloudSource, Commented, named, ply, save_merged};
+use crate::merge::{self, Viewpoint};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::points;
 use crate::reconstruct::triangulate::ray_table::RayTable;
@@ -26,27 +25,20 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
-/// Where a phase map is.
-pub fn phase_path(out: &Path, camera: &str, trigger: u64) -> PathBuf {
-    out.join("phases").join(format!("{camera}_{trigger:06}.phase"))
-}
-
-/// What a map states of the calibration that clouds are made with: its hash, and its volume, m.
+/// What a map states of its calibration: the hash of its geometry, and the corners of its volume, m.
 pub type Geometry = (String, [[f64; 3]; 2]);
 
-/// That of a calibration.
+/// What maps that were made with a calibration state of it.
 pub fn statement_of(calibration: &Calibration) -> Geometry {
     (calibration.geometry_sha256(), [calibration.volume_min_m, calibration.volume_max_m])
 }
 
-/// What became of an export.
+/// The numbers of clouds that an export has written, kept and found missing.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct Exported {
-    /// Directional clouds written.
     pub clouds: usize,
     /// Points of all merged clouds.
     pub merged_points: usize,
-    /// Triggers.
     pub triggers: usize,
     /// Triggers whose clouds were there already.
     pub kept: usize,
@@ -54,107 +46,76 @@ pub struct Exported {
     pub empty: usize,
     /// Maps that are missing, and those left out, a sentence each ([`Expected::amiss`]).
     pub amiss: Vec<String>,
-    /// Whether the sequence's times are made up, because nothing says when the triggers were.
+    /// Whether the sequence's times are made up, because no file states when the triggers were.
     pub made_up_times: bool,
 }
 
-/// What became of a trigger.
+/// A trigger whose clouds are there.
 struct Made {
     trigger: u64,
     time_ns: Option<u64>,
-    /// Of its merged cloud.
+    /// The number of points of its merged cloud.
     points: usize,
     kept: bool,
 }
 
-/// One trigger's maps: places of their cameras in the calibration, and files.
+/// The maps of one trigger: for each, the place of its camera in the calibration, and its file.
 type Maps = Vec<(usize, PathBuf)>;
 
-/// Why an export ended.
-#[derive(Debug, thiserror::Error)]
-pub enum StoredError {
-    /// The maps cannot be used: damaged, or made with another calibration.
-    #[error("{0}")]
-    Maps(String),
-    /// There is not a single point in them.
-    #[error(
-        "{0}: no frame was reconstructed, so that there is nothing to export; `fourdbody reconstruct` told why (summary.json)"
-    )]
-    Nothing(String),
-    /// The directory has results of something else.
-    #[error("{0}")]
-    Occupied(String),
-    /// Something could not be written.
-    #[error("{0}")]
-    Write(String),
-}
-
-impl From<KeyError> for StoredError {
-    fn from(error: KeyError) -> Self {
-        match error {
-            KeyError::Occupied(reason) => Self::Occupied(reason),
-            KeyError::Write(reason) => Self::Write(reason),
-        }
-    }
-}
-
 /// Makes the clouds of all phase maps in `from`, on the current rayon pool: directional ones, merged ones, and the
-/// sequence, where triggers without a time of their own are placed by index at `rate_hz`. What is there and states the same as
-/// the maps is kept, but for the sequence. `progress` is told triggers done and their number.
+/// sequence, where triggers without a time of their own are placed by index at `rate_hz`. What is there and states
+/// the same as the maps is kept, but for the sequence. `progress` gets triggers done and their number.
 pub fn export(
     from: &Path,
     calibration: &Calibration,
     out: &Path,
     rate_hz: f64,
     progress: impl Fn(u64, u64) + Sync,
-) -> Result<Exported, StoredError> {
-    let mut triggers = list(from, calibration).map_err(StoredError::Maps)?;
-    let expected = Expected::of(from).map_err(StoredError::Maps)?;
-    let amiss = expected.amiss(&names(&triggers, calibration), &(0..u64::MAX), &|_| true);
-    triggers.retain(|trigger, _| expected.speaks_of(*trigger));
-    if let Some(key) = Key::load(from).map_err(StoredError::Maps)? {
+) -> Result<Exported, Fault> {
+    let corrupt = |reason: String| Fault::new(Exit::Corrupt, reason);
+    let source = PhaseDirectory::open(from, calibration.clone()).map_err(corrupt)?;
+    let expected = Expected::of(from).map_err(corrupt)?;
+    let amiss = expected.amiss(&listed(&source), &(0..u64::MAX), &|_| true);
+    if let Some(key) = Key::load(from).map_err(corrupt)? {
         // Maps and the clouds of them may lie in one directory, which the maps have taken.
         let clouds = Key { format: "ply".to_owned(), ..key.clone() };
         clouds.claim(out).or_else(|refused| key.check(out).map_err(|_| refused))?;
     }
     for folder in ["clouds", "merged"] {
         let path = out.join(folder);
-        let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
-        std::fs::create_dir_all(&path).map_err(failed)?;
+        std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
     }
     remove_leftovers(out);
-    let tables = tables(calibration).map_err(StoredError::Maps)?;
-    let geometry = statement_of(calibration);
+    let triggers: Vec<u64> = source.files.keys().copied().filter(|t| expected.speaks_of(*t)).collect();
     let (done, total) = (AtomicU64::new(0), triggers.len() as u64);
-    let made: Result<Vec<Made>, StoredError> = triggers
-        .par_iter()
-        .map(|(&trigger, maps)| {
-            let statements = statements(trigger, maps, calibration, &expected).map_err(StoredError::Maps)?;
-            let made = match finished(trigger, &statements, &geometry, out) {
-                Some(made) => made,
-                None => export_trigger(trigger, maps, calibration, &tables, out)?,
-            };
-            progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-            Ok(made)
-        })
-        .collect();
-    let made = made?;
-    let path = out.join("sequence.mcap");
+    let made = triggers.par_iter().map(|&trigger| {
+        let statements = source.statements(trigger, &expected).map_err(corrupt)?;
+        let made = match source.finished(trigger, &statements, out) {
+            Some(made) => made,
+            None => {
+                let clouds = source.clouds(trigger, &source.triggers[&trigger]).map_err(corrupt)?;
+                source.export_trigger(trigger, &statements, &clouds, out)?
+            }
+        };
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
+        Ok(made)
+    });
+    let made = made.collect::<Result<Vec<Made>, Fault>>()?;
     let with_points = || made.iter().filter(|made| made.points > 0);
     if with_points().next().is_none() {
-        return Err(StoredError::Nothing(from.display().to_string()));
+        return Err(corrupt(format!(
+            "{}: no frame was reconstructed, so that there is nothing to export; summary.json states why",
+            from.display()
+        )));
     }
-    let times = with_points().map(|&Made { trigger, time_ns, .. }| {
-        (time_ns.unwrap_or_else(|| time_by_index_ns(trigger, rate_hz)), merged_path(out, trigger))
-    });
-    write_sequence(times, &path).map_err(StoredError::Write)?;
+    write_sequence(out, with_points().map(|made| (made.trigger, made.time_ns)), rate_hz)?;
     if out != from && summary_path(from, None).exists() {
-        write_summary(from, out, &made).map_err(StoredError::Write)?;
+        write_summary(from, out, &made)?;
     }
     Ok(Exported {
         amiss,
         made_up_times: with_points().any(|made| made.time_ns.is_none()),
-        clouds: triggers.values().map(Vec::len).sum(),
+        clouds: triggers.iter().map(|trigger| source.files[trigger].len()).sum(),
         merged_points: made.iter().map(|made| made.points).sum(),
         triggers: made.len(),
         kept: made.iter().filter(|made| made.kept).count(),
@@ -173,44 +134,11 @@ fn write_summary(from: &Path, out: &Path, made: &[Made]) -> Result<(), String> {
     summary.save(&summary_path(out, None))
 }
 
-/// The names of the cameras that have a map, by trigger.
-fn names(triggers: &BTreeMap<u64, Maps>, calibration: &Calibration) -> Listed {
-    let all: Vec<String> = calibration.cameras().map(|(_, camera)| camera.id.to_string()).collect();
-    let of = |maps: &Maps| maps.iter().map(|(place, _)| all[*place].clone()).collect();
-    triggers.iter().map(|(trigger, maps)| (*trigger, of(maps))).collect()
-}
-
-/// What a trigger's maps state, held against their names, their session and the summary.
-fn statements(
-    trigger: u64,
-    maps: &Maps,
-    calibration: &Calibration,
-    expected: &Expected,
-) -> Result<Vec<Statement>, String> {
-    let of_map = |(place, path): &(usize, PathBuf)| {
-        let statement = phase_file::load_statement(path).map_err(|e| e.to_string())?;
-        let camera = calibration.cameras().nth(*place).map(|(_, camera)| camera.id.as_str());
-        let held = expected.hold(trigger, camera, Some(statement.points), &statement.comments);
-        held.map_err(|reason| format!("FOREIGN  {}: {reason}", path.display()))?;
-        Ok(statement)
-    };
-    maps.iter().map(of_map).collect()
-}
-
-/// The table of each camera, in the calibration's order.
-fn tables(calibration: &Calibration) -> Result<Vec<RayTable>, String> {
-    let heads_and_cameras: Vec<_> = calibration.cameras().collect();
-    heads_and_cameras
-        .par_iter()
-        .map(|(head, camera)| {
-            CameraProjector::new(head, camera, calibration).map(|pair| RayTable::new(&pair))
-        })
-        .collect()
-}
-
 /// Stored phase maps as a source of clouds.
 pub struct PhaseDirectory {
     calibration: Calibration,
+    geometry: Geometry,
+    /// Of each camera, in the calibration's order.
     tables: Vec<RayTable>,
     cameras: Vec<(u8, String)>,
     /// Places of the cameras in the calibration.
@@ -228,12 +156,76 @@ impl PhaseDirectory {
         let cameras = cameras.map_err(|_| "more than 255 cameras".to_owned())?;
         let places = |maps: &Maps| maps.iter().map(|(place, _)| *place).collect();
         let triggers = files.iter().map(|(trigger, maps)| (*trigger, places(maps))).collect();
-        Ok(Self { tables: tables(&calibration)?, calibration, cameras, triggers, files })
+        let heads_and_cameras: Vec<_> = calibration.cameras().collect();
+        let tables = heads_and_cameras.par_iter().map(|(head, camera)| {
+            CameraProjector::new(head, camera, &calibration).map(|pair| RayTable::new(&pair))
+        });
+        let tables = tables.collect::<Result<Vec<_>, String>>()?;
+        Ok(Self { geometry: statement_of(&calibration), tables, calibration, cameras, triggers, files })
     }
 
     fn paths(&self, trigger: u64, cameras: &[usize]) -> impl Iterator<Item = &(usize, PathBuf)> {
         let maps = self.files.get(&trigger).into_iter().flatten();
         maps.filter(move |(place, _)| cameras.contains(place))
+    }
+
+    /// What a trigger's maps state, held against their names, their session and the summary.
+    fn statements(&self, trigger: u64, expected: &Expected) -> Result<Vec<Statement>, String> {
+        let of_map = |(place, path): &(usize, PathBuf)| {
+            let statement = phase_file::load_statement(path).map_err(|e| e.to_string())?;
+            let camera = Some(self.cameras[*place].1.as_str());
+            let held = expected.hold(trigger, camera, Some(statement.points), &statement.comments);
+            held.map_err(|reason| format!("FOREIGN  {}: {reason}", path.display()))?;
+            Ok(statement)
+        };
+        self.files[&trigger].iter().map(of_map).collect()
+    }
+
+    /// A trigger whose clouds are all there, of which only headers are read.
+    fn finished(&self, trigger: u64, statements: &[Statement], out: &Path) -> Option<Made> {
+        let has_cloud = |statement: &Statement| {
+            let found = ply::load_whole_header(&cloud_path(out, &statement.camera, trigger));
+            (&statement.geometry_sha256, &statement.volume_m) == (&self.geometry.0, &self.geometry.1)
+                && found.is_ok_and(|found| {
+                    found.points == statement.points && found.comments == statement.comments
+                })
+        };
+        statements.iter().all(has_cloud).then_some(())?;
+        let time_ns = statements.iter().find_map(|statement| statement.time_ns);
+        let points = statements.iter().map(|statement| statement.points).sum();
+        if points == 0 {
+            return Some(Made { trigger, time_ns, points: 0, kept: true });
+        }
+        let merged = ply::load_whole_header(&merged_path(out, trigger)).ok()?;
+        let decided = statements.iter().any(|statement| Viewpoint::of(&statement.comments).is_some());
+        let there = merge::is_finished(&merged, &statements.first()?.merged_comments, points, decided);
+        there.then_some(Made { trigger, time_ns, points: merged.points, kept: true })
+    }
+
+    /// Writes the clouds of a trigger, and the merged one unless it has no points.
+    fn export_trigger(
+        &self,
+        trigger: u64,
+        statements: &[Statement],
+        clouds: &[Commented],
+        out: &Path,
+    ) -> Result<Made, String> {
+        statements.par_iter().zip(clouds).with_max_len(1).try_for_each(
+            |(statement, (comments, cloud))| {
+                let path = cloud_path(out, &statement.camera, trigger);
+                ply::save(&path, cloud, comments).map_err(|e| format!("{}: {e}", path.display()))
+            },
+        )?;
+        let time_ns = statements.iter().find_map(|statement| statement.time_ns);
+        let mut points = 0;
+        if clouds.iter().any(|(_, cloud)| !cloud.is_empty()) {
+            let numbers = self.triggers[&trigger].iter().map(|&place| self.cameras[place].0);
+            let comments = statements.first().map_or_else(Vec::new, |first| first.merged_comments.clone());
+            let path = merged_path(out, trigger);
+            points = save_merged(&path, clouds, numbers, comments)
+                .map_err(|e| format!("{}: {e}", path.display()))?;
+        }
+        Ok(Made { trigger, time_ns, points, kept: false })
     }
 }
 
@@ -248,7 +240,8 @@ impl CloudSource for PhaseDirectory {
 
     fn clouds(&self, trigger: u64, cameras: &[usize]) -> Result<Vec<Commented>, String> {
         let read = |(place, path): &(usize, PathBuf)| {
-            let (statement, cloud) = read_cloud(path, &self.calibration, *place, &self.tables[*place])?;
+            let (statement, cloud) =
+                read_cloud(path, &self.calibration, &self.geometry, *place, &self.tables[*place])?;
             Ok((statement.comments, cloud))
         };
         let paths: Vec<_> = self.paths(trigger, cameras).collect();
@@ -264,16 +257,24 @@ impl CloudSource for PhaseDirectory {
     }
 }
 
-/// Packs merged clouds with their times, ns, into one MCAP file; without clouds there is none.
-pub fn write_sequence(clouds: impl Iterator<Item = (u64, PathBuf)>, path: &Path) -> Result<(), String> {
-    let mut clouds = clouds.peekable();
-    if clouds.peek().is_none() {
+/// Packs the merged clouds of triggers into OUT/sequence.mcap, each with its time, ns, or by index at `rate_hz` where it has
+/// none; without clouds there is no file.
+pub fn write_sequence(
+    out: &Path,
+    triggers: impl Iterator<Item = (u64, Option<u64>)>,
+    rate_hz: f64,
+) -> Result<(), String> {
+    let path = out.join("sequence.mcap");
+    let mut triggers = triggers.peekable();
+    if triggers.peek().is_none() {
         return Ok(());
     }
-    let packed = write_whole(path, |file| {
+    let packed = write_whole(&path, |file| {
         let mut writer = SequenceWriter::new(std::io::BufWriter::new(file)).map_err(io::Error::other)?;
-        for (time, cloud) in clouds {
-            writer.push_ply(time, &cloud).map_err(io::Error::other)?;
+        for (trigger, time_ns) in triggers {
+            let (_, cloud) = ply::load(&merged_path(out, trigger)).map_err(io::Error::other)?;
+            let time_ns = time_ns.unwrap_or_else(|| time_by_index_ns(trigger, rate_hz));
+            writer.push(time_ns, &cloud).map_err(io::Error::other)?;
         }
         let buffer = writer.finish().map_err(io::Error::other)?;
         buffer.into_inner().map_err(|e| e.into_error()).map(drop)
@@ -291,12 +292,11 @@ fn list(from: &Path, calibration: &Calibration) -> Result<BTreeMap<u64, Maps>, S
     for entry in std::fs::read_dir(&folder).map_err(fail)? {
         let path = entry.map_err(fail)?.path();
         let Some(stem) = path.file_name().and_then(|n| n.to_str()?.strip_suffix(".phase")) else { continue };
-        let named = stem.rsplit_once('_').and_then(|(camera, index)| Some((camera, index.parse().ok()?)));
-        let Some((camera, trigger)) = named else { continue };
+        let Some((trigger, Some(camera))) = named(stem) else { continue };
         let number = calibration.cameras().position(|(_, known)| known.id.as_str() == camera);
         let number =
             number.ok_or_else(|| format!("{}: the calibration has no such camera", path.display()))?;
-        // Else a camera may have two of one trigger.
+        // With other names a camera could have two maps of one trigger.
         let name = phase_path(from, camera, trigger);
         if name != path {
             return Err(format!("FOREIGN  {}: expected the name {}", path.display(), name.display()));
@@ -310,65 +310,6 @@ fn list(from: &Path, calibration: &Calibration) -> Result<BTreeMap<u64, Maps>, S
     Ok(triggers)
 }
 
-/// A trigger whose clouds are all there, of which only headers are read.
-fn finished(trigger: u64, statements: &[Statement], geometry: &Geometry, out: &Path) -> Option<Made> {
-    let is_there = |path: &Path, points: usize, comments: &[String]| {
-        ply::load_whole_header(path).is_ok_and(|found| found.points == points && found.comments == comments)
-    };
-    let has_cloud = |statement: &Statement| {
-        let path = cloud_path(out, &statement.camera.as_str().into(), trigger);
-        (&statement.geometry_sha256, &statement.volume_m) == (&geometry.0, &geometry.1)
-            && is_there(&path, statement.points, &statement.comments)
-    };
-    statements.iter().all(has_cloud).then_some(())?;
-    let time_ns = statements.iter().find_map(|statement| statement.time_ns);
-    let points = statements.iter().map(|statement| statement.points).sum();
-    if points == 0 {
-        return Some(Made { trigger, time_ns, points: 0, kept: true });
-    }
-    let merged = ply::load_whole_header(&merged_path(out, trigger)).ok()?;
-    let decided = statements.iter().any(|statement| Viewpoint::of(&statement.comments).is_some());
-    let there = merge::is_finished(&merged, &statements.first()?.merged_comments, points, decided);
-    there.then_some(Made { trigger, time_ns, points: merged.points, kept: true })
-}
-
-fn export_trigger(
-    trigger: u64,
-    maps: &Maps,
-    calibration: &Calibration,
-    tables: &[RayTable],
-    out: &Path,
-) -> Result<Made, StoredError> {
-    let made: Result<Vec<(u8, Cloud, Statement)>, StoredError> = maps
-        .par_iter()
-        .with_max_len(1)
-        .map(|(number, path)| {
-            let read = read_cloud(path, calibration, *number, &tables[*number]);
-            let (statement, cloud) = read.map_err(StoredError::Maps)?;
-            let path = cloud_path(out, &statement.camera.as_str().into(), trigger);
-            let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
-            ply::save(&path, &cloud, &statement.comments).map_err(failed)?;
-            let too_many = |_| StoredError::Maps("more than 255 cameras".to_owned());
-            Ok((u8::try_from(*number).map_err(too_many)?, cloud, statement))
-        })
-        .collect();
-    let made = made?;
-    let time_ns = made.iter().find_map(|(_, _, statement)| statement.time_ns);
-    if made.iter().all(|(_, cloud, _)| cloud.is_empty()) {
-        return Ok(Made { trigger, time_ns, points: 0, kept: false });
-    }
-    let from: Vec<_> = made.iter().map(|(_, _, statement)| Viewpoint::of(&statement.comments)).collect();
-    let views = made.iter().zip(&from);
-    let views = views.map(|((camera, cloud, _), from)| View { camera: *camera, cloud, from: from.as_ref() });
-    let views: Vec<View<'_>> = views.collect();
-    let left_out = merge::left_out(&views, Rule::default());
-    let path = merged_path(out, trigger);
-    let comments = made.first().map_or(Vec::new(), |(_, _, statement)| statement.merged_comments.clone());
-    let failed = |e| StoredError::Write(format!("{}: {e}", path.display()));
-    let points = merge::save(&path, &views, &left_out, comments).map_err(failed)?;
-    Ok(Made { trigger, time_ns, points, kept: false })
-}
-
 /// The cloud of the stored map at `path`, with the comments of its file.
 pub fn load_cloud(path: &Path, calibration: &Calibration) -> Result<Commented, String> {
     let statement = phase_file::load_statement(path).map_err(|e| e.to_string())?;
@@ -378,13 +319,15 @@ pub fn load_cloud(path: &Path, calibration: &Calibration) -> Result<Commented, S
             format!("{}: the calibration has no camera {}", path.display(), statement.camera)
         })?;
     let table = RayTable::new(&CameraProjector::new(head, camera, calibration)?);
-    read_cloud(path, calibration, number, &table).map(|(statement, cloud)| (statement.comments, cloud))
+    read_cloud(path, calibration, &statement_of(calibration), number, &table)
+        .map(|(statement, cloud)| (statement.comments, cloud))
 }
 
 /// The cloud of a stored map; `number`: the place of its camera in the calibration.
 fn read_cloud(
     path: &Path,
     calibration: &Calibration,
+    (geometry, volume): &Geometry,
     number: usize,
     table: &RayTable,
 ) -> Result<(Statement, Cloud), String> {
@@ -393,8 +336,7 @@ fn read_cloud(
     let camera = camera.ok_or_else(|| fail("the calibration has no such camera".to_owned()))?;
     let frame = [camera.device.width, camera.device.height];
     let (statement, map) = phase_file::load_of_frame(path, frame).map_err(|e| e.to_string())?;
-    let (geometry, volume) = statement_of(calibration);
-    if (&statement.geometry_sha256, statement.volume_m) != (&geometry, volume) {
+    if (&statement.geometry_sha256, &statement.volume_m) != (geometry, volume) {
         return Err(fail(format!(
             "made with the calibration {}, not with {geometry}; give the calibration that it was reconstructed with",
             statement.geometry_sha256
@@ -402,7 +344,7 @@ fn read_cloud(
     }
     if camera.id.as_str() != statement.camera {
         return Err(fail(format!(
-            "a map of camera {}, which is not what the file's name says",
+            "a map of camera {}, which the file's name does not state",
             statement.camera
         )));
     }

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Directories of images, `DIR/CAMERA/INDEX.png`, as `import`, `reconstruct` and `calibrate` read them: one reader, so that they
-//! agree about what is a frame.
+//! Directories of images, `DIR/CAMERA/INDEX.png`, as `import`, `reconstruct` and `calibrate` read them: one reader,
+//! so that they agree about what is a frame.
 //!
-//! A folder is a camera's when the caller knows a camera of this name, or when an `INDEX.png` is in it. What is neither a frame nor
-//! could be meant for one is left out, and named. A PNG in a camera's folder that has no index, and two files of one index, are
-//! refused: they may be frames.
+//! A folder is a camera's when the caller knows a camera of this name, or when an `INDEX.png` is in it. A file that
+//! is no frame and cannot have been meant as one is left out, and named. A PNG in a camera's folder that has no
+//! index, and two files of one index, are refused: they may be frames.
 
 use crate::base::ids::CameraId;
 use std::collections::BTreeMap;
@@ -13,13 +13,13 @@ use std::path::{Path, PathBuf};
 /// Indexes are below this: that of recordings (`record::MAX_TRIGGERS`).
 pub const INDEX_END: u64 = 1 << 24;
 
-/// Left-out names that a message has.
+/// The most names of left-out files in a message.
 const NAMED: usize = 8;
 
 /// The images of one camera by trigger index.
 pub type Images = BTreeMap<u64, PathBuf>;
 
-/// A directory of images.
+/// The images of a directory, by camera and trigger index.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
 pub struct ImageTree {
     /// The cameras that have a folder. Those that the caller knows may have no images.
@@ -29,7 +29,8 @@ pub struct ImageTree {
 }
 
 impl ImageTree {
-    /// Lists the images; `known`: cameras that the caller knows. The error: everything that must not be left out silently.
+    /// Lists the images; `known`: cameras that the caller knows. The error: everything that must not be left out
+    /// silently.
     pub fn list(directory: &Path, known: &[CameraId]) -> Result<Self, Vec<String>> {
         let mut problems = Vec::new();
         let mut tree = Self::default();
@@ -79,8 +80,8 @@ impl ImageTree {
         images
     }
 
-    /// What is left out, for people; nothing where there is nothing.
-    pub fn told(left_out: &[PathBuf]) -> Option<String> {
+    /// A line that names what is left out; `None` where that is nothing.
+    pub fn remark(left_out: &[PathBuf]) -> Option<String> {
         let names: Vec<String> = left_out.iter().take(NAMED).map(|path| path.display().to_string()).collect();
         let more = left_out.len().saturating_sub(NAMED);
         let more = if more > 0 { format!(" and {more} more") } else { String::new() };
@@ -94,7 +95,6 @@ enum Named {
     Index(u64),
     /// A PNG of no trigger.
     Unindexed,
-    /// No image.
     Other,
 }
 
@@ -104,7 +104,7 @@ fn index(path: &Path) -> Named {
         return Named::Other;
     }
     let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-    // What another system leaves beside a file.
+    // Other systems leave such files beside a file.
     if stem.starts_with('.') {
         return Named::Other;
     }
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_told_from_what_lies_beside_them() {
+    fn frames_are_kept_apart_from_what_lies_beside_them() {
         let files = [
             "h0_up/000000.png",
             "h0_up/1.PNG",
@@ -173,8 +173,8 @@ mod tests {
         let expected =
             ["h0_low/notes.txt", "h0_up/._000000.png", "h0_up/Thumbs.db", "poses.json", "previews", "truth"];
         assert_eq!(left_out, expected.map(Path::new));
-        let told = ImageTree::told(&tree.left_out).expect("something");
-        assert!(told.contains("Thumbs.db") && told.contains("truth"), "{told}");
+        let remark = ImageTree::remark(&tree.left_out).expect("something");
+        assert!(remark.contains("Thumbs.db") && remark.contains("truth"), "{remark}");
     }
 
     #[test]
@@ -185,8 +185,8 @@ mod tests {
         for words in
             [["0.png and ", "both are trigger 0"], ["front.png", "INDEX.png"], ["99999999.png", "16777215"]]
         {
-            let says = |problem: &String| words.iter().all(|word| problem.contains(word));
-            assert!(problems.iter().any(says), "{words:?} missing in {problems:#?}");
+            let has_all = |problem: &String| words.iter().all(|word| problem.contains(word));
+            assert!(problems.iter().any(has_all), "{words:?} missing in {problems:#?}");
         }
         assert_eq!(problems.len(), 4, "{problems:#?}");
     }

@@ -1,35 +1,39 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a result is made of: `OUT/reconstruct.json`, written before the first cloud. A directory takes the clouds of one
-//! session, made in one way; everything else is refused with what differs, so that no result is ever of two.
+//! What a result is made of: `OUT/reconstruct.json`, written before the first cloud. A directory takes the clouds of
+//! one session, made in one way; everything else is refused with what differs, so that no result is ever of two.
 //!
-//! The files say by themselves what else they depend on: the frames of their trigger ([`super::run`]).
+//! The files state themselves what else they depend on: the frames of their trigger ([`super::run`]).
 
-use super::run::{Format, Plan, method_name};
+use super::plan::{Format, Plan, method_name};
 use crate::base::ids::CameraId;
-use crate::base::{json, regular, write_new};
+use crate::base::{Exit, Fault, json, regular, write_new};
 use crate::data::{Calibration, SessionIdentity};
 use crate::reconstruct::paper;
 use crate::reconstruct::pipeline::Method;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use std::fmt::Display;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// The algorithm's number: raised whenever the same frames may give other points, or a file other bytes than its comments.
-/// `it::reused` holds the digest of a small scene's clouds beside it, and fails when one changes without the other.
+/// The algorithm's number: raised whenever the same frames may give other points, or a file other bytes than its
+/// comments. `it::reused` holds the digest of a small scene's clouds beside it, and fails when one changes without
+/// the other.
 pub const ALGORITHM: u32 = 33;
 
-/// Everything that the clouds of a directory share.
+/// Everything that the clouds of a directory share. A run makes the key of its plan, claims the directory with it
+/// before the first cloud, and refuses a directory that has another one; the key stays there as `reconstruct.json` as
+/// long as the results, and readers hold every file against it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Key {
-    /// Whose frames.
+    /// The session whose frames the result is made of.
     pub session: SessionIdentity,
-    /// [`ALGORITHM`], or [`paper::ALGORITHM`].
+    /// [`ALGORITHM`], or [`paper::ALGORITHM`] with `--method paper`.
     pub algorithm: u32,
     /// SHA-256 of the calibration, all of it.
     pub calibration_sha256: String,
-    /// `joint` or `paper`.
+    /// `joint` or `paper`, as the command line calls it.
     pub method: String,
     /// By how much a fringe order must lead any other.
     pub margin: f32,
@@ -41,22 +45,6 @@ pub struct Key {
     pub format: String,
     /// The cameras, in the calibration's order: each frame of a trigger may give the others their fringe orders.
     pub cameras: Vec<CameraId>,
-}
-
-/// Why a directory cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum KeyError {
-    /// It has results of something else.
-    #[error("{0}")]
-    Occupied(String),
-    /// It cannot be written.
-    #[error("{0}")]
-    Write(String),
-}
-
-/// Where the key of a result is.
-pub fn key_path(out: &Path) -> PathBuf {
-    out.join(KEY_FILE)
 }
 
 /// Where the calibration of a result is.
@@ -80,7 +68,7 @@ pub fn calibration_sha256(calibration: &Calibration) -> Result<String, String> {
 }
 
 impl Key {
-    /// That of a plan.
+    /// The key of what a plan makes of a session.
     pub fn of(session: SessionIdentity, calibration: &Calibration, plan: &Plan) -> Result<Self, String> {
         let cameras = calibration.cameras().map(|(_, camera)| &camera.id);
         Ok(Self {
@@ -108,7 +96,7 @@ impl Key {
 
     /// The key of the result in a directory; `None` where there is none. The error: it cannot be read.
     pub fn load(out: &Path) -> Result<Option<Self>, String> {
-        let path = key_path(out);
+        let path = out.join(KEY_FILE);
         match regular::read(&path, regular::STATEMENT_BYTES) {
             Ok(text) => json::from_slice(&text)
                 .map(Some)
@@ -119,12 +107,13 @@ impl Key {
     }
 
     /// Refuses a directory that has results of another key.
-    pub fn check(&self, out: &Path) -> Result<(), KeyError> {
-        let occupied = |reason: String| -> KeyError {
-            KeyError::Occupied(format!(
-                "{}: {reason}\nChoose another --out, or move away what is there",
-                out.display()
-            ))
+    pub fn check(&self, out: &Path) -> Result<(), Fault> {
+        let occupied = |reason: String| {
+            let path = out.display();
+            Fault::new(
+                Exit::Usage,
+                format!("{path}: {reason}\nChoose another --out, or move away what is there"),
+            )
         };
         match Self::load(out).map_err(&occupied)? {
             Some(there) if there == *self => Ok(()),
@@ -133,31 +122,31 @@ impl Key {
                 Err(occupied(format!("has results of something else:\n  {differences}")))
             }
             None if has_results(out) => {
-                Err(occupied(format!("has results, but no {KEY_FILE} that says which session they are of")))
+                Err(occupied(format!("has results, but no {KEY_FILE} that states which session they are of")))
             }
             None => Ok(()),
         }
     }
 
-    /// Takes a directory for results of this key, or finds that it has been taken so.
-    pub fn claim(&self, out: &Path) -> Result<(), KeyError> {
+    /// Marks a directory as one for results of this key, or finds that it is marked so already.
+    pub fn claim(&self, out: &Path) -> Result<(), Fault> {
         self.check(out)?;
-        let path = key_path(out);
-        let failed = |e: &dyn std::fmt::Display| KeyError::Write(format!("{}: {e}", path.display()));
+        let path = out.join(KEY_FILE);
+        let failed = |e: &dyn Display| format!("{}: {e}", path.display());
         if path.exists() {
             return Ok(());
         }
         let text = serde_json::to_string_pretty(self).map_err(|e| failed(&e))?;
         std::fs::create_dir_all(out).map_err(|e| failed(&e))?;
         let written = write_new(&path, |file| writeln!(file, "{text}")).map_err(|e| failed(&e))?;
-        // Another process was faster.
+        // Another process has written its key in between.
         if written { Ok(()) } else { self.check(out) }
     }
 
     /// Puts the calibration beside the results, which are read with it; refuses a directory that has another one.
-    pub fn keep_calibration(&self, out: &Path, calibration: &Calibration) -> Result<(), KeyError> {
+    pub fn keep_calibration(&self, out: &Path, calibration: &Calibration) -> Result<(), Fault> {
         let path = calibration_path(out);
-        let failed = |e: &dyn std::fmt::Display| KeyError::Write(format!("{}: {e}", path.display()));
+        let failed = |e: &dyn Display| format!("{}: {e}", path.display());
         let text = calibration.text().map_err(|e| failed(&e))?;
         if !path.exists()
             && write_new(&path, |file| file.write_all(text.as_bytes())).map_err(|e| failed(&e))?
@@ -167,18 +156,22 @@ impl Key {
         let there = Calibration::load(&path).map_err(|e| e.to_string());
         match there.and_then(|there| calibration_sha256(&there)) {
             Ok(there) if there == self.calibration_sha256 => Ok(()),
-            Ok(_) => Err(KeyError::Occupied(format!(
-                "{}: expected the calibration that is asked for, found another one. Choose another --out, or move it away",
-                path.display()
-            ))),
-            Err(reason) => Err(KeyError::Occupied(format!(
-                "{reason}. It would be read with the results: choose another --out, or move it away"
-            ))),
+            Ok(_) => Err(Fault::new(
+                Exit::Usage,
+                format!(
+                    "{}: expected the requested calibration, found another one. Choose another --out, or move it away",
+                    path.display()
+                ),
+            )),
+            Err(reason) => Err(Fault::new(
+                Exit::Usage,
+                format!("{reason}. It would be read with the results: choose another --out, or move it away"),
+            )),
         }
     }
 
-    /// What is there, and what was asked for.
-    fn differences(&self, asked: &Self) -> Vec<String> {
+    /// What is there, and what was requested.
+    fn differences(&self, requested: &Self) -> Vec<String> {
         let cameras = |key: &Self| key.cameras.iter().map(CameraId::as_str).collect::<Vec<_>>().join(",");
         let shown = |key: &Self| {
             [
@@ -193,9 +186,10 @@ impl Key {
                 ("cameras", cameras(key)),
             ]
         };
-        let both = shown(self).into_iter().zip(shown(asked)).filter(|(there, asked)| there != asked);
+        let both =
+            shown(self).into_iter().zip(shown(requested)).filter(|(there, requested)| there != requested);
         let named: Vec<String> = both
-            .map(|((what, there), (_, asked))| format!("{what}: there {there}, asked for {asked}"))
+            .map(|((what, there), (_, requested))| format!("{what}: there {there}, requested {requested}"))
             .collect();
         if named.is_empty() { vec!["its description differs".to_owned()] } else { named }
     }
@@ -215,7 +209,8 @@ fn has_results(out: &Path) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::{ALGORITHM, Key, KeyError};
+    use super::{ALGORITHM, Key};
+    use crate::base::Fault;
     use crate::data::SessionIdentity;
 
     fn key() -> Key {
@@ -246,7 +241,7 @@ mod tests {
         let refused = |change: &dyn Fn(&mut Key), words: &[&str]| {
             let mut other = key();
             change(&mut other);
-            let Err(KeyError::Occupied(message)) = other.claim(dir.path()) else {
+            let Err(Fault { exit: 2, message }) = other.claim(dir.path()) else {
                 panic!("{other:?} was taken");
             };
             words.iter().for_each(|word| assert!(message.contains(word), "{word:?} missing in {message}"));
@@ -255,12 +250,12 @@ mod tests {
         refused(&|key| key.session.nodes.push("b".to_owned()), &["session: there", "a,b"]);
         refused(&|key| key.algorithm += 1, &["algorithm: there"]);
         refused(&|key| key.calibration_sha256 = "d".repeat(64), &["calibration: there cccc", "dddd"]);
-        refused(&|key| key.method = "paper".to_owned(), &["method: there joint, asked for paper"]);
-        refused(&|key| key.margin = 2.0, &["margin: there 1, asked for 2"]);
-        refused(&|key| key.bin_rows = 2, &["bin-rows: there 1, asked for 2"]);
+        refused(&|key| key.method = "paper".to_owned(), &["method: there joint, requested paper"]);
+        refused(&|key| key.margin = 2.0, &["margin: there 1, requested 2"]);
+        refused(&|key| key.bin_rows = 2, &["bin-rows: there 1, requested 2"]);
         refused(&|key| key.uncertainty = true, &["uncertainty: there false"]);
         refused(&|key| key.format = "phase".to_owned(), &["format: there ply"]);
-        refused(&|key| key.cameras.truncate(1), &["cameras: there h0_up,h0_low, asked for h0_up"]);
+        refused(&|key| key.cameras.truncate(1), &["cameras: there h0_up,h0_low, requested h0_up"]);
         assert_eq!(Key::load(dir.path()), Ok(Some(key())));
     }
 
@@ -273,6 +268,6 @@ mod tests {
         let error = key().claim(dir.path()).expect_err("must be refused").to_string();
         assert!(error.contains("reconstruct.json") && error.contains("--out"), "{error}");
         std::fs::write(dir.path().join("reconstruct.json"), "{").expect("writable");
-        assert!(matches!(key().claim(dir.path()), Err(KeyError::Occupied(_))));
+        assert_eq!(key().claim(dir.path()).expect_err("unreadable").exit, 2);
     }
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session reconstructed to a directory: which frames, on which threads, what is written, and how it is resumed.
 //!
-//! [`run`] is the work; [`key`] says what a result depends on, so that only the same work is continued.
+//! [`run`] is the work; [`key`] states what a result depends on, so that only the same work is continued.
 
 /// Whether the files of a result are of that result.
 pub mod belonging;
@@ -9,15 +9,19 @@ pub mod belonging;
 pub mod binned;
 /// The shards of a session to one result.
 pub mod collect_shards;
-/// Maps as pictures.
+/// The maps of a frame as pictures, for people.
 pub mod dump_maps;
+/// Where the files of a result are, and what they state.
+pub mod files;
 /// Stored phase maps to clouds.
 pub mod from_phase_maps;
-/// Directories of images.
+/// Directories of images, `DIR/CAMERA/INDEX.png`, and what in them is a frame.
 pub mod image_tree;
 /// What a result is made of.
 pub mod key;
-/// Frames from PNG files.
+/// What a run is to do.
+pub mod plan;
+/// Frames that are read from PNG files.
 pub mod png_source;
 /// What a reconstruction wrote, as clouds.
 pub mod result;

@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// A directory of images. Files are found when it is opened and read when they are asked for.
+/// A directory of images. Files are found when it is opened, and read when a frame is requested.
 #[derive(Debug)]
 pub struct PngSource {
     cameras: Vec<CameraId>,

@@ -1,22 +1,22 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A directory that `fourdbody reconstruct` wrote, as clouds: stored ones (`clouds/CAMERA_TRIGGER.ply`, `merged/TRIGGER.ply`, or the
-//! same files in one directory), or those of its phase maps (`phases/CAMERA_TRIGGER.phase`), made with the calibration beside them.
+//! A directory that `fourdbody reconstruct` wrote, as clouds: stored ones (`clouds/CAMERA_TRIGGER.ply`,
+//! `merged/TRIGGER.ply`, or the same files in one directory), or those of its phase maps
+//! (`phases/CAMERA_TRIGGER.phase`), made with the calibration beside them.
 
 use super::belonging::{Expected, Held, Listed};
-use super::collect_shards::named as list;
+use super::files::named as list;
 use super::from_phase_maps::{self, PhaseDirectory};
 use super::key::calibration_path;
 use crate::data::Calibration;
-use crate::export::merged_cloud;
-use crate::formats::{CloudSource, Commented, ply};
+use crate::formats::{CloudSource, Commented, merged_cloud, named, ply};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Where a cloud is.
+/// Where a cloud of a result is.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Place {
-    /// In this file.
+    /// In this file, as a PLY file.
     File(PathBuf),
     /// The phase map of a trigger and a camera, by its place among the cameras of the maps.
     Map(u64, usize),
@@ -29,7 +29,6 @@ pub enum Place {
 pub struct Clouds {
     /// Directional clouds by trigger and camera.
     pub directional: BTreeMap<(u64, String), Place>,
-    /// Merged clouds by trigger.
     pub merged: BTreeMap<u64, Place>,
     /// What they are held against.
     pub expected: Expected,
@@ -125,7 +124,8 @@ impl Clouds {
         Ok(())
     }
 
-    /// The cloud at a place, with the comments of its file. An error says which file is damaged, or of something else.
+    /// The cloud at a place, with the comments of its file. An error states which file is damaged, or of something
+    /// else.
     pub fn load(&self, place: &Place) -> Result<Commented, String> {
         let source = self.maps.as_ref().map(|maps| Held::new(maps, &self.expected));
         let maps = || source.as_ref().ok_or("no phase maps");
@@ -141,12 +141,12 @@ impl Clouds {
                 let clouds = maps.clouds(*trigger, places)?;
                 let cameras: Vec<_> = places.iter().map(|&place| maps.cameras()[place].clone()).collect();
                 let comments = clouds.first().map_or_else(Vec::new, |(comments, _)| comments.clone());
-                Ok((comments, merged_cloud(&clouds, &cameras)))
+                Ok((comments, merged_cloud(&clouds, &cameras).0))
             }
         }
     }
 
-    /// Directional clouds by trigger and head. The calibration says which cameras make a head; without one, the
+    /// Directional clouds by trigger and head. The calibration states which cameras make a head; without one, the
     /// part of the camera's name before its last `_` does.
     pub fn heads(&self, calibration: Option<&Calibration>) -> BTreeMap<(u64, String), Vec<Placed<'_>>> {
         let mut heads: BTreeMap<_, Vec<Placed<'_>>> = BTreeMap::new();
@@ -166,7 +166,10 @@ impl Clouds {
 pub fn calibration_of(directory: &Path) -> Result<Calibration, String> {
     let path = calibration_path(directory);
     Calibration::load(&path).map_err(|e| {
-        format!("{e}. Results lie beside the calibration that they were made with: give the directory that `fourdbody reconstruct` wrote")
+        format!(
+            "{e}. Results lie beside the calibration that they were made with: give the directory that \
+             `fourdbody reconstruct` wrote"
+        )
     })
 }
 
@@ -198,16 +201,7 @@ fn load_held(path: &Path, expected: &Expected) -> Result<Commented, String> {
     held(path, expected, load_ply(path)?)
 }
 
-/// Trigger and camera by a file's name: `CAMERA_TRIGGER`, or `TRIGGER` of a merged cloud.
-fn named(stem: &str) -> Option<(u64, Option<&str>)> {
-    if let Ok(trigger) = stem.parse() {
-        return Some((trigger, None));
-    }
-    let (camera, index) = stem.rsplit_once('_')?;
-    Some((index.parse().ok()?, Some(camera)))
-}
-
-/// A cloud that is what its file's name says, and of this result.
+/// A cloud of the trigger and camera that its file's name states, and of this result.
 fn held(path: &Path, expected: &Expected, (comments, cloud): Commented) -> Result<Commented, String> {
     let stem = path.file_stem().and_then(|stem| stem.to_str());
     if let Some((trigger, camera)) = stem.and_then(named) {
@@ -244,9 +238,9 @@ mod tests {
         let path = dir.path().join("phases/h0_up_000003.phase");
         std::fs::create_dir(dir.path().join("phases")).expect("writable");
         std::fs::write(&path, "").expect("writable");
-        for said in [Clouds::open(dir.path()).err(), load_file(&path).err()] {
-            let said = said.expect("no calibration");
-            assert!(said.contains("calibration.json") && said.contains("reconstruct"), "{said}");
+        for error in [Clouds::open(dir.path()).err(), load_file(&path).err()] {
+            let error = error.expect("no calibration");
+            assert!(error.contains("calibration.json") && error.contains("reconstruct"), "{error}");
         }
     }
 }

@@ -4,25 +4,26 @@
 //! ```text
 //! OUT/phases/CAMERA_INDEX.phase   one phase map, of which the clouds are made when they are read ([`super::result`])
 //! OUT/calibration.json            the calibration that goes with them
-//! OUT/summary.json                what became of every frame
+//! OUT/summary.json                the outcome of every frame
 //! OUT/reconstruct.json            of which session all this is, and how it is made ([`super::key`])
 //!
-//! where clouds are asked for:
+//! with --format ply:
 //! OUT/clouds/CAMERA_INDEX.ply     one directional cloud (without points where the frame was refused)
 //! OUT/merged/INDEX.ply            all cameras of one trigger, less what another head sees better (`merge`)
 //! OUT/sequence.mcap               the merged clouds, for viewers
 //! ```
 //!
-//! Every file states the parameters that it was made with, as a hash over algorithm, calibration and method, its session, trigger and
-//! time, and the frames of its trigger, by the checksums of their pixels; a finished one that states the same is not made again. Where a trigger has
-//! no point at all there is no merged cloud.
+//! Every file states the parameters that it was made with, as a hash over algorithm, calibration and method, its
+//! session, trigger and time, and the frames of its trigger, by the checksums of their pixels; a finished one that
+//! states the same is not made again. Where a trigger has no point at all there is no merged cloud.
 
 mod finished;
 mod written;
 
-use super::collect_shards::remove_leftovers;
-use super::from_phase_maps::{self, phase_path};
-use super::key::{Key, KeyError};
+use super::files::{cameras_comment, frame_path, remove_leftovers};
+use super::from_phase_maps;
+use super::key::Key;
+use crate::base::Fault;
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::Mono8;
 use crate::base::time::process_cpu_time;
@@ -30,203 +31,60 @@ use crate::data::{Calibration, Cloud, Frame, FrameSource};
 use crate::formats::ply;
 use crate::merge::{self, Viewpoint};
 use crate::reconstruct::frame_set::{self, Stage};
-use crate::reconstruct::fringe_order::{self, MostDifference};
-use crate::reconstruct::pipeline::{Method, Pipeline, Workspace};
+use crate::reconstruct::pipeline::{Pipeline, Workspace};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
 use rayon::prelude::*;
-use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
+pub use super::files::{cloud_path, merged_path, time_by_index_ns};
+pub use super::plan::{Format, Plan};
 pub use super::summary::{FrameSummary, Summary, TriggerSummary};
 pub use crate::batch::timings::Timings;
-
-/// What is written of each frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Format {
-    /// Phase maps, of which `from_phase_maps::export` makes the same clouds.
-    Phase,
-    /// Clouds, merged clouds and the sequence.
-    Ply,
-}
-
-impl Format {
-    /// As the command line calls it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Phase => "phase",
-            Self::Ply => "ply",
-        }
-    }
-
-    /// The names of some, with commas between them.
-    pub fn names(formats: &[Self]) -> String {
-        formats.iter().map(|format| format.name()).collect::<Vec<_>>().join(",")
-    }
-
-    fn folders(self) -> &'static [&'static str] {
-        match self {
-            Self::Phase => &["phases"],
-            Self::Ply => &["clouds", "merged"],
-        }
-    }
-}
-
-/// What to do.
-#[derive(Debug)]
-pub struct Plan {
-    /// Where the results go.
-    pub out: PathBuf,
-    /// Which triggers.
-    pub triggers: Range<u64>,
-    /// Which cameras; all are in the calibration.
-    pub cameras: Vec<CameraId>,
-    /// This share of the triggers: those whose index leaves `shard.0` when divided by `shard.1`.
-    pub shard: (u64, u64),
-    /// How the absolute phase is found.
-    pub method: Method,
-    /// By how much a fringe order must lead any other.
-    pub margin: f32,
-    /// Cameras that differ by more contradict the calibration, and the trigger is refused.
-    pub most_difference: MostDifference,
-    /// Rows of the photographs that make one row of the source's frames ([`super::binned`]).
-    pub bin_rows: usize,
-    /// What is written, each once, in order.
-    pub formats: Vec<Format>,
-    /// Whether every point gets its standard uncertainty.
-    pub uncertainty: bool,
-    /// Where the maps of every frame go, if anywhere.
-    pub maps: Option<PathBuf>,
-    /// Makes the clouds and keeps none, and merges nothing: for measurements of the reconstruction itself.
-    pub discard: bool,
-}
-
-impl Default for Plan {
-    /// What the command line does unless it is told otherwise, of no frames.
-    fn default() -> Self {
-        Self {
-            out: PathBuf::new(),
-            triggers: 0..0,
-            cameras: Vec::new(),
-            shard: (0, 1),
-            method: Method::Joint,
-            margin: fringe_order::MARGIN,
-            most_difference: MostDifference::of_rows(1),
-            bin_rows: 1,
-            formats: vec![Format::Phase],
-            uncertainty: false,
-            maps: None,
-            discard: false,
-        }
-    }
-}
-
-impl Plan {
-    /// The triggers of this shard, in order.
-    pub fn shard_triggers(&self) -> impl Iterator<Item = u64> + '_ {
-        self.triggers.clone().filter(|t| t % self.shard.1.max(1) == self.shard.0)
-    }
-
-    /// Whether the clouds of a trigger are put together: else nobody needs them once they are made.
-    pub fn merges(&self) -> bool {
-        self.formats.contains(&Format::Ply) && !self.discard
-    }
-}
-
-/// The name of a method on the command line and in files.
-pub fn method_name(method: Method) -> &'static str {
-    match method {
-        Method::Joint => "joint",
-        Method::Paper => "paper",
-    }
-}
-
-/// Where a directional cloud is.
-pub fn cloud_path(out: &Path, camera: &CameraId, trigger: u64) -> PathBuf {
-    out.join("clouds").join(format!("{camera}_{trigger:06}.ply"))
-}
-
-/// Where a merged cloud is.
-pub fn merged_path(out: &Path, trigger: u64) -> PathBuf {
-    out.join("merged").join(format!("{trigger:06}.ply"))
-}
 
 struct Job<'a> {
     source: &'a dyn FrameSource,
     plan: &'a Plan,
     calibration: &'a Calibration,
     parameters: String,
-    /// Its id.
+    /// The id of the session that the frames are of.
     session: String,
     /// What stored phase maps state of the calibration.
     calibration_statement: (String, [[f64; 3]; 2]),
-    /// The cameras asked for, by head.
+    /// The cameras of the plan, by head.
     heads: Vec<Vec<Camera>>,
     timings: Mutex<Timings>,
 }
 
 struct Camera {
     id: CameraId,
-    /// Its number in merged clouds.
+    /// Its number in merged clouds, which is its place in the calibration.
     number: u8,
     /// Where it and its head's projector are, as its clouds state it.
     viewpoint: Viewpoint,
     pipeline: Pipeline,
 }
 
-/// Why a run ended.
-#[derive(Debug, thiserror::Error)]
-pub enum RunError {
-    /// The directory has results of something else.
-    #[error("{0}")]
-    Occupied(String),
-    /// Anything else.
-    #[error("{0}")]
-    Failed(String),
-}
-
-impl From<String> for RunError {
-    fn from(reason: String) -> Self {
-        Self::Failed(reason)
-    }
-}
-
-impl From<KeyError> for RunError {
-    fn from(error: KeyError) -> Self {
-        match error {
-            KeyError::Occupied(reason) => Self::Occupied(reason),
-            KeyError::Write(reason) => Self::Failed(reason),
-        }
-    }
-}
-
 /// The CRC-32 of a frame's pixels; `None` where there is no frame, an error where it is damaged.
 type Pixels = Result<Option<u32>, ()>;
 
-/// Writes the merged clouds of a finished run as one MCAP file, in order; none where there is no point. Triggers without a time of
-/// their own are placed by index at `rate_hz`.
+/// Writes the merged clouds of a finished run as one MCAP file, in order; none where there is no point. Triggers
+/// without a time of their own are placed by index at `rate_hz`.
 pub fn write_sequence(plan: &Plan, summary: &Summary, rate_hz: f64) -> Result<(), String> {
     let with_points = summary.triggers.iter().filter(|trigger| trigger.merged_points > Some(0));
-    let clouds = with_points.map(|&TriggerSummary { trigger, time_ns, .. }| {
-        (time_ns.unwrap_or_else(|| time_by_index_ns(trigger, rate_hz)), merged_path(&plan.out, trigger))
-    });
-    from_phase_maps::write_sequence(clouds, &plan.out.join("sequence.mcap"))
+    let triggers = with_points.map(|one| (one.trigger, one.time_ns));
+    from_phase_maps::write_sequence(&plan.out, triggers, rate_hz)
 }
 
-/// When a trigger is where nothing says when it was: by index at this rate, from 0 on, ns.
-pub fn time_by_index_ns(trigger: u64, rate_hz: f64) -> u64 {
-    (trigger as f64 * 1e9 / rate_hz).round() as u64
-}
-
-/// The cameras that are asked for, those of a head together, each with its tables: they take longer than a frame.
+/// The cameras of the plan, those of a head together, each with its tables: these take longer than a frame.
 fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Camera>>, String> {
-    let asked = (0_usize..).zip(calibration.cameras()).filter(|(_, (_, c))| plan.cameras.contains(&c.id));
-    let asked: Vec<_> = asked.collect();
+    let chosen = (0_usize..).zip(calibration.cameras()).filter(|(_, (_, c))| plan.cameras.contains(&c.id));
+    let chosen: Vec<_> = chosen.collect();
     let workspace = Arc::new(Workspace::default());
-    let made = asked.par_iter().map(|(number, (head, camera))| {
+    let made = chosen.par_iter().map(|(number, (head, camera))| {
         let number = u8::try_from(*number).map_err(|_| "more than 255 cameras".to_owned())?;
         let pair = CameraProjector::new(head, camera, calibration)?;
         let triangulator = Triangulator::new(pair);
@@ -247,13 +105,13 @@ fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Cam
     Ok(heads)
 }
 
-/// Runs the plan on the current rayon pool. `progress` is told the number of triggers done.
+/// Runs the plan on the current rayon pool. `progress` gets the number of triggers done.
 pub fn run(
     source: &dyn FrameSource,
     calibration: &Calibration,
     plan: &Plan,
     progress: impl Fn(usize) + Sync,
-) -> Result<(Summary, Timings), RunError> {
+) -> Result<(Summary, Timings), Fault> {
     let key = Key::of(source.identity()?, calibration, plan)?;
     if !plan.discard {
         key.claim(&plan.out)?;
@@ -285,18 +143,13 @@ pub fn run(
     let cpu_ms = process_cpu_time().saturating_sub(cpu_began).as_secs_f64() * 1e3;
     let time_base = source.time_base();
     let summary = Summary { time_base, ..Summary::of(triggers?, &key, plan, calibration) };
-    let mut timings = job.timings.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut timings = job.timings.into_inner().unwrap_or_else(PoisonError::into_inner);
     (timings.wall_ms, timings.cpu_ms, timings.threads) = (wall_ms, cpu_ms, rayon::current_num_threads());
     Ok((summary, timings))
 }
 
-/// The comment that names the cameras that a directional cloud depends on.
-pub(crate) fn cameras_comment<'a>(cameras: impl Iterator<Item = &'a CameraId>) -> String {
-    format!("together {}", cameras.map(CameraId::as_str).collect::<Vec<_>>().join(" "))
-}
-
-/// The comment that tells the frames that a trigger's clouds depend on, by the CRC-32 of their pixels: `gap` where there is none, and
-/// `damaged` where that is not known.
+/// The comment that names the frames that a trigger's clouds depend on, by the CRC-32 of their pixels: `gap` where
+/// there is none, and `damaged` where that is not known.
 fn frames_comment<'a>(frames: impl Iterator<Item = (&'a CameraId, Pixels)>) -> String {
     let stated = frames.map(|(camera, crc)| match crc {
         Ok(Some(crc)) => format!("{camera}={crc:08x}"),
@@ -306,7 +159,7 @@ fn frames_comment<'a>(frames: impl Iterator<Item = (&'a CameraId, Pixels)>) -> S
     format!("frames {}", stated.collect::<Vec<_>>().join(" "))
 }
 
-/// Takes away what is not true any more.
+/// Removes a file that an earlier run has written and that is not valid any more, if it is there.
 fn remove(path: &Path) -> Result<(), String> {
     match std::fs::remove_file(path) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
@@ -336,6 +189,10 @@ impl Job<'_> {
         TriggerSummary { trigger, time_ns: self.time_ns(trigger), merged_points, frames }
     }
 
+    fn timings(&self) -> MutexGuard<'_, Timings> {
+        self.timings.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn time_ns(&self, trigger: u64) -> Option<u64> {
         self.source.trigger_time_ns(TriggerIndex(trigger))
     }
@@ -353,23 +210,21 @@ impl Job<'_> {
         });
         let views: Vec<_> = views.collect();
         let left_out = merge::left_out(&views, merge::Rule::default());
-        self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner).merge_ms +=
-            began.elapsed().as_secs_f64() * 1e3;
+        self.timings().merge_ms += began.elapsed().as_secs_f64() * 1e3;
         merge::save(&path, &views, &left_out, self.merged_comments(trigger, frames))
             .map_err(|e| format!("{}: {e}", path.display()))
     }
 
-    /// Runs a part of what makes a frame a cloud, and keeps its time.
+    /// Runs a part of the reconstruction of a frame, and adds its time to the timings.
     fn timed<T>(&self, work: impl FnOnce() -> T) -> T {
         let began = Instant::now();
         let result = work();
-        let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        timings.add_frame_time(began.elapsed());
+        self.timings().add_frame_time(began.elapsed());
         result
     }
 
-    /// The directional clouds of all cameras together, since each frame may give fringe orders to the others; and the comment
-    /// that tells these frames.
+    /// The directional clouds of all cameras together, since each frame may give fringe orders to the others; and the
+    /// comment that names these frames.
     fn clouds(&self, trigger: u64) -> Result<(Vec<(FrameSummary, Cloud)>, String), String> {
         let cameras: Vec<(usize, &Camera)> =
             self.heads.iter().enumerate().flat_map(|(i, head)| head.iter().map(move |x| (i, x))).collect();
@@ -397,7 +252,7 @@ impl Job<'_> {
             Stage::Made(result) => self.save(camera, trigger, *result, &frames),
             Stage::Missing(outcome, reason) => {
                 for &format in self.plan.formats.iter().filter(|_| !self.plan.discard) {
-                    remove(&self.frame_path(camera, trigger, format))?;
+                    remove(&frame_path(&self.plan.out, format, &camera.id, trigger))?;
                 }
                 Ok((FrameSummary::missing(&camera.id, outcome, reason), Cloud::default()))
             }
@@ -406,15 +261,7 @@ impl Job<'_> {
         Ok((made?, frames))
     }
 
-    /// Where a frame's cloud or map is.
-    fn frame_path(&self, camera: &Camera, trigger: u64, format: Format) -> PathBuf {
-        match format {
-            Format::Ply => cloud_path(&self.plan.out, &camera.id, trigger),
-            Format::Phase => phase_path(&self.plan.out, camera.id.as_str(), trigger),
-        }
-    }
-
-    /// The comment that tells the frames of a trigger as the source has them now.
+    /// The comment that names the frames of a trigger as the source has them now.
     fn frames(&self, trigger: u64) -> String {
         let cameras: Vec<&CameraId> = self.cameras().collect();
         let pixels = cameras.par_iter().with_max_len(1).map(|camera| {
@@ -456,7 +303,7 @@ impl Job<'_> {
         (stage, Ok(frame.pixels_crc()))
     }
 
-    /// A trigger of which everything is there, which only headers are read for.
+    /// The outcome of a trigger whose files are all there; only their headers are read.
     fn finished_trigger(&self, trigger: u64) -> Option<TriggerSummary> {
         let (frames, stated) = self.finished_frames(trigger)?;
         if !self.plan.formats.contains(&Format::Ply) {
@@ -473,14 +320,14 @@ impl Job<'_> {
         Some(self.summary_of(trigger, Some(header.points), frames))
     }
 
-    /// The finished clouds of a trigger, and the comment that tells its frames. Of phase maps merged clouds are made when they
-    /// are exported: there they are empty.
+    /// The finished clouds of a trigger, and the comment that names its frames. Of phase maps merged clouds are made
+    /// when they are exported: there they are empty.
     fn finished(&self, trigger: u64) -> Option<(Vec<(FrameSummary, Cloud)>, String)> {
         let (frames, stated) = self.finished_frames(trigger)?;
         let load = |(camera, summary): (&Camera, FrameSummary)| {
             let cloud = match summary.outcome.as_ref() {
                 "cloud" | "refused" if self.plan.merges() => {
-                    ply::load(&self.frame_path(camera, trigger, Format::Ply)).ok()?.1
+                    ply::load(&cloud_path(&self.plan.out, &camera.id, trigger)).ok()?.1
                 }
                 _ => Cloud::default(),
             };

@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Frames of a finished run that show another trigger ([`super::witness`]) are refused: their files become those of refused frames, and
-//! the merged clouds of their triggers are made without them.
+//! Frames of a finished run that show another trigger ([`super::witness`]) are refused: their files become those of
+//! refused frames, and the merged clouds of their triggers are made without them.
 //!
-//! This is done when all triggers of a run are there, at its end or when its shards are collected, so that the result is the same
-//! however it was come to.
+//! This is done when all triggers of a run are there, at its end or when its shards are collected, so that one run
+//! and many shards give the same result.
 
-use super::from_phase_maps::{PhaseDirectory, phase_path};
-use super::run::{Format, Plan, cloud_path, merged_path};
+use super::files::{frame_path, merged_path, stated};
+use super::from_phase_maps::PhaseDirectory;
+use super::plan::{Format, Plan};
 use super::summary::{FrameSummary, Summary, TriggerSummary};
-use super::witness::{self, REACH, Said, Sketch, Sketches};
+use super::witness::{self, Evidence, REACH, Sketch, Sketches};
 use crate::base::ids::CameraId;
 use crate::data::{Calibration, Cloud, PhaseMap};
-use crate::formats::{CloudSource, PlyDirectory, phase_file, ply};
-use crate::merge::{self, Rule, View, Viewpoint};
+use crate::formats::{CloudSource, PlyDirectory, phase_file, ply, save_merged};
+use crate::merge;
 use crate::reconstruct::pipeline::Method;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -22,17 +23,18 @@ use std::path::Path;
 /// Triggers whose clouds are read at a time.
 const AT_ONCE: usize = 4;
 
-/// How a reason begins that this is the author of.
+/// The beginning of the reasons that this file gives: by it, frames are recognized that were refused here before.
 const SHOWN: &str = "it shows trigger ";
 
 fn reason(shown: u64, own: u64) -> String {
     format!(
-        "{SHOWN}{shown}, not {own}: what moves lies where the other cameras have it then; see what happened to this camera about this trigger (`fourdbody verify`)"
+        "{SHOWN}{shown}, not {own}: what moves lies where the other cameras have it then; see what happened \
+         to this camera about this trigger (`fourdbody verify`)"
     )
 }
 
-/// Refuses the frames of a run that show another trigger, in its files and in `summary`, on the current rayon pool. `progress` hears
-/// of the triggers looked at, and of how many there are.
+/// Refuses the frames of a run that show another trigger, in its files and in `summary`, on the current rayon pool.
+/// `progress` gets the number of triggers checked and of all.
 ///
 /// # Errors
 /// A file cannot be read or written.
@@ -46,8 +48,8 @@ pub fn refuse(
         return Ok(());
     }
     let names: Vec<CameraId> = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
-    let mut said = ask(plan, calibration, summary, &names, progress)?;
-    let strangers = witness::strangers(calibration, &mut said);
+    let mut evidence = evidence_on(plan, calibration, summary, &names, progress)?;
+    let strangers = witness::strangers(calibration, &mut evidence);
     for (&(trigger, camera), &shown) in &strangers {
         refuse_files(plan, &names[camera], trigger, &reason(shown, trigger))?;
     }
@@ -68,10 +70,14 @@ pub fn refuse(
         }
     }
     summary.count();
-    summary.suspects = witness::suspects(calibration, &said)
+    summary.suspects = witness::suspects(calibration, &evidence)
         .into_iter()
         .map(|((trigger, camera), shown)| {
-            format!("{} {trigger}: the other camera of its head shows the same at trigger {shown}; one of the two is of another trigger", names[camera])
+            format!(
+                "{} {trigger}: the other camera of its head shows the same at trigger {shown}; one of \
+                 the two is of another trigger",
+                names[camera]
+            )
         })
         .collect();
     Ok(())
@@ -81,14 +87,14 @@ fn set_refused(frame: &mut FrameSummary, reason: String) {
     (frame.outcome, frame.reason, frame.points) = ("refused".into(), Some(reason), 0);
 }
 
-/// What is said of the frames against which anybody speaks.
-fn ask(
+/// The evidence on the frames that any camera votes against.
+fn evidence_on(
     plan: &Plan,
     calibration: &Calibration,
     summary: &Summary,
     names: &[CameraId],
     progress: impl Fn(usize, usize),
-) -> Result<BTreeMap<(u64, usize), Said>, String> {
+) -> Result<BTreeMap<(u64, usize), Evidence>, String> {
     let source: Box<dyn CloudSource> = if plan.formats.contains(&Format::Phase) {
         Box::new(PhaseDirectory::open(&plan.out, calibration.clone())?)
     } else {
@@ -100,7 +106,7 @@ fn ask(
         .filter(|one| one.frames.iter().any(|frame| frame.outcome == "cloud"))
         .collect();
     let mut sketches: BTreeMap<u64, Sketches> = BTreeMap::new();
-    let (mut said, mut loaded) = (BTreeMap::new(), 0);
+    let (mut evidence, mut loaded) = (BTreeMap::new(), 0);
     for (done, one) in lit.iter().enumerate() {
         while let Some(next) =
             lit.get(loaded).filter(|next| next.trigger <= one.trigger.saturating_add(REACH))
@@ -113,14 +119,14 @@ fn ask(
             loaded += chunk.len();
         }
         let frames = (0..names.len()).into_par_iter();
-        let heard = frames.filter_map(|camera| {
-            Some(((one.trigger, camera), witness::ask(calibration, &sketches, one.trigger, camera)?))
+        let found = frames.filter_map(|camera| {
+            Some(((one.trigger, camera), witness::evidence_on(calibration, &sketches, one.trigger, camera)?))
         });
-        said.extend(heard.collect::<Vec<_>>());
+        evidence.extend(found.collect::<Vec<_>>());
         sketches = sketches.split_off(&one.trigger.saturating_sub(REACH));
         progress(done + 1, lit.len());
     }
-    Ok(said)
+    Ok(evidence)
 }
 
 /// The sketches of a trigger's clouds.
@@ -146,25 +152,22 @@ fn sketch(
 /// Makes the files of a frame those of a refused one.
 fn refuse_files(plan: &Plan, camera: &CameraId, trigger: u64, reason: &str) -> Result<(), String> {
     let refused = format!("refused {reason}");
-    for format in &plan.formats {
-        match format {
+    for &format in &plan.formats {
+        let path = frame_path(&plan.out, format, camera, trigger);
+        let saved = match format {
             Format::Phase => {
-                let path = phase_path(&plan.out, camera.as_str(), trigger);
                 let (mut statement, map) = phase_file::load(&path).map_err(|e| e.to_string())?;
                 statement.points = 0;
                 statement.comments.push(refused.clone());
-                let empty = PhaseMap { frame: map.frame, ..PhaseMap::default() };
-                phase_file::save(&path, &statement, &empty)
-                    .map_err(|e| format!("{}: {e}", path.display()))?;
+                phase_file::save(&path, &statement, &PhaseMap { frame: map.frame, ..PhaseMap::default() })
             }
             Format::Ply => {
-                let path = cloud_path(&plan.out, camera, trigger);
                 let mut comments = ply::load_header(&path).map_err(|e| e.to_string())?.comments;
                 comments.push(refused.clone());
-                let saved = ply::save(&path, &Cloud::default(), &comments);
-                saved.map_err(|e| format!("{}: {e}", path.display()))?;
+                ply::save(&path, &Cloud::default(), &comments)
             }
-        }
+        };
+        saved.map_err(|e| format!("{}: {e}", path.display()))?;
     }
     Ok(())
 }
@@ -185,31 +188,18 @@ fn merge_again(out: &Path, one: &TriggerSummary) -> Result<usize, String> {
         return std::fs::remove_file(&path).map(|()| 0).map_err(failed);
     }
     let clouds = source.clouds(one.trigger, &places)?;
-    let from: Vec<Option<Viewpoint>> = clouds.iter().map(|(comments, _)| Viewpoint::of(comments)).collect();
-    let views = clouds.iter().zip(&from).zip(&places).map(|(((_, cloud), from), place)| View {
-        camera: source.cameras()[*place].0,
-        cloud,
-        from: from.as_ref(),
-    });
-    let views: Vec<View<'_>> = views.collect();
-    merge::save(&path, &views, &merge::left_out(&views, Rule::default()), comments).map_err(failed)
+    let numbers = places.iter().map(|place| source.cameras()[*place].0);
+    save_merged(&path, &clouds, numbers, comments).map_err(failed)
 }
 
-/// What a shard's summary says of a trigger, with the frames refused that an earlier collection has found to be of another trigger.
-/// Whether there are any.
+/// What a shard's summary has of a trigger, with the frames refused that an earlier collection has found to be of
+/// another trigger. Whether there are any.
 pub fn adopt(out: &Path, formats: &[Format], one: &mut TriggerSummary) -> bool {
     let mut any = false;
     for frame in &mut one.frames {
-        let comments = match formats.first() {
-            Some(Format::Phase) => {
-                let path = phase_path(out, frame.camera.as_str(), one.trigger);
-                phase_file::load_statement(&path).map(|statement| statement.comments).unwrap_or_default()
-            }
-            _ => {
-                let path = cloud_path(out, &frame.camera, one.trigger);
-                ply::load_whole_header(&path).map(|header| header.comments).unwrap_or_default()
-            }
-        };
+        let format = formats.first().copied().unwrap_or(Format::Ply);
+        let comments =
+            stated(out, format, &frame.camera, one.trigger).map_or_else(Vec::new, |found| found.comments);
         let reason = comments.iter().find_map(|comment| comment.strip_prefix("refused "));
         if let Some(reason) = reason.filter(|reason| reason.starts_with(SHOWN)) {
             set_refused(frame, reason.to_owned());

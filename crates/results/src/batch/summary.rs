@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What became of every frame of a run: `OUT/summary.json`.
+//! The outcome of every frame of a run: `OUT/summary.json`.
 
+use super::files::summary_path;
 use super::key::Key;
-use super::run::Plan;
+use super::plan::Plan;
 use super::unchecked::unchecked;
 use crate::base::ids::CameraId;
-use crate::base::write_whole;
+use crate::base::{json, regular};
 use crate::data::{Calibration, SessionIdentity};
 use crate::reconstruct::outcome::NO_OBJECT;
 use crate::reconstruct::paper;
@@ -13,14 +14,20 @@ use crate::reconstruct::pipeline::Method;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::Path;
 
-/// What became of one frame.
+/// The summary of a run over all triggers.
+pub fn load_summary(out: &Path) -> Result<Summary, String> {
+    let path = summary_path(out, None);
+    let text =
+        regular::read(&path, regular::SUMMARY_BYTES).map_err(|e| format!("{}: {e}", path.display()))?;
+    json::from_slice(&text).map_err(|e| format!("{}: {e}; another version wrote it", path.display()))
+}
+
+/// The outcome of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameSummary {
-    /// The camera.
     pub camera: CameraId,
     /// `cloud`, `refused` (no fringe order can be trusted), `gap` (no frame) or `damaged`.
     pub outcome: Cow<'static, str>,
@@ -32,7 +39,8 @@ pub struct FrameSummary {
     /// Object pixels left out because their fringe order is not certain.
     pub unresolved_px: usize,
     /// How far the marker's dashes lie from where the calibration has them, px of the panel
-    /// ([`crate::reconstruct::marker::epipolar_check::Dashes::offset_px`]): a fraction of one, unless a device has moved.
+    /// ([`crate::reconstruct::marker::epipolar_check::Dashes::offset_px`]): a fraction of one, unless a device has
+    /// moved.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub marker_offset_px: Option<f32>,
 }
@@ -45,11 +53,10 @@ impl FrameSummary {
     }
 }
 
-/// What became of one trigger.
+/// The outcome of one trigger.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TriggerSummary {
-    /// Its index.
     pub trigger: u64,
     /// When it was, ns since 1970 on the clock of [`Summary::time_base`]; absent where the source knows no times.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -61,59 +68,56 @@ pub struct TriggerSummary {
     pub frames: Vec<FrameSummary>,
 }
 
-/// What became of a run.
+/// The outcome of a run. [`super::run::run`] makes it, later steps add what they find, and `summary.json` keeps it as
+/// long as the results: every frame of the run has exactly one outcome in it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Summary {
-    /// Whose frames.
+    /// The session whose frames were reconstructed.
     pub session: SessionIdentity,
-    /// The algorithm's number ([`super::key::ALGORITHM`]).
+    /// The number of the algorithm that made the clouds ([`super::key::ALGORITHM`]).
     pub algorithm: u32,
     /// Hash of everything that the clouds depend on beside the frames.
     pub parameters: String,
-    /// `joint` or `paper`.
+    /// `joint` or `paper`, as the command line calls it.
     pub method: Cow<'static, str>,
-    /// Cameras of the session or of the calibration that were left out, as was asked for; absent where there are none.
+    /// Cameras of the session or of the calibration that were left out, as the options request; absent where there
+    /// are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<CameraId>,
     /// Parts of the session that cannot be read, a sentence each; absent where there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unreadable: Vec<String>,
-    /// What fringe orders were not checked against, though they could be, a sentence each; absent where there is nothing.
+    /// What fringe orders were not checked against, though they could be, a sentence each; absent where there is
+    /// nothing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unchecked: Vec<String>,
-    /// Frames one of which shows another trigger, though nobody knows which, a sentence each; absent where there are none.
+    /// Pairs of frames one of which shows another trigger, without proof which, a sentence each; absent where there
+    /// are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub suspects: Vec<String>,
     /// What clock the triggers' times are of, in words; absent where there are no times.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_base: Option<String>,
-    /// Frames expected.
     pub frames: usize,
-    /// Frames with a cloud.
     pub clouds: usize,
-    /// Frames refused.
     pub refused: usize,
-    /// Frames that are missing.
     pub gaps: usize,
     /// Frames that could not be read.
     pub damaged: usize,
     /// Points of all merged clouds; absent where none are made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub merged_points: Option<usize>,
-    /// The triggers, in order.
     pub triggers: Vec<TriggerSummary>,
 }
 
 impl Summary {
     /// Writes it, which is never half there. The error names the file.
     pub fn save(&self, path: &Path) -> Result<(), String> {
-        let failed = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
-        let text = serde_json::to_string_pretty(self).map_err(|e| failed(&e))?;
-        write_whole(path, |file| writeln!(file, "{text}")).map_err(|e| failed(&e))
+        json::save(path, self)
     }
 
-    /// What became of all triggers together.
+    /// The outcome of all triggers together.
     pub(crate) fn of(
         triggers: Vec<TriggerSummary>,
         key: &Key,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a run has taken, stage by stage and in all.
+//! The time that a run has taken, stage by stage and in all.
 
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -8,18 +8,17 @@ use std::time::Duration;
 /// Time spent, over the frames that were computed and not found finished.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Timings {
-    /// Frames computed.
     pub frames: usize,
-    /// Threads that did it.
     pub threads: usize,
     /// Sum of each stage, ms.
     pub stage_ms: BTreeMap<&'static str, f64>,
     /// Sum of all stages, ms.
     pub total_ms: f64,
-    /// Sum of the time from asking for a frame to its points and normals in memory, in the thread that did it, ms. With one
-    /// thread this is the whole cost of the frames; with more, what a thread took on meanwhile is in it.
+    /// Sum of the time from reading a frame to its points and normals in memory, in the thread that did it, ms.
+    /// With one thread this is the whole cost of the frames; with more, other work of that thread in between is in it.
     pub frame_ms: f64,
-    /// Sum of the time that was spent on deciding which points merged clouds leave out, over all triggers, ms. Not in the others.
+    /// Sum of the time that was spent on deciding which points merged clouds leave out, over all triggers, ms. Not in
+    /// the others.
     pub merge_ms: f64,
     /// From the first frame to the last on the wall's clock, ms.
     pub wall_ms: f64,

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the fringe orders of a run are not checked against, though they could be.
+//! The checks of fringe orders that a run lacks, though another run could have them.
 //!
-//! A frame set of all cameras, with a calibration that knows the panel's rows, has every check that there is. A run with
-//! less is no error: a laboratory may have lost a camera. But whoever reads its figures must know.
+//! A frame set of all cameras, with a calibration that knows the panel's rows, has every check that there is. A run
+//! with less is no error: a laboratory may have lost a camera. But the reader of its figures must know it.
 
 use crate::base::ids::CameraId;
 use crate::data::Calibration;
@@ -31,7 +31,8 @@ pub(crate) fn unchecked(calibration: &Calibration, cameras: &[CameraId]) -> Vec<
     let rowless: Vec<&str> = all().filter(|head| head.rows.is_none()).map(|head| head.id.as_str()).collect();
     if !rowless.is_empty() {
         lacks.push(format!(
-            "{}: whether calibration, camera and light belong together, because the calibration does not state the panel's rows; calibrate again",
+            "{}: whether calibration, camera and light belong together, because the calibration does not \
+             state the panel's rows; calibrate again",
             list(&rowless)
         ));
     }

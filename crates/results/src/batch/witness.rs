@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The light as a witness of the trigger: a frame that is filed one trigger wrong shows the body where the others have it at another one.
+//! The light as a witness of the trigger: a frame that is filed one trigger wrong shows the body where the others
+//! have it at another one.
 //!
-//! Places of a camera's cloud are looked for in the clouds of the other cameras, at its own trigger and at those near it. A place speaks
-//! *against* a frame where it lies well off what another camera has at its own trigger, and on what that camera has at another one;
-//! where it is the other way round, it speaks *for* it. Of a body that stands still no place says anything (docs/design/reconstruction.md,
-//! "The light as a witness").
+//! Places of a camera's cloud are compared with the clouds of the other cameras, at its own trigger and at those near
+//! it. A place votes against a frame where it lies well off the surface that another camera has at the frame's own
+//! trigger, and on the surface that this camera has at another trigger; in the opposite case it votes for the frame.
+//! A body that stands still gives no votes (docs/design/reconstruction.md, "The light as a witness").
 
 use crate::data::{Calibration, Cloud};
 use crate::geometry::Device;
@@ -12,18 +13,20 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Triggers to each side that a frame may be of.
+/// How many triggers away, to each side, the true trigger of a frame is looked for.
 pub const REACH: u64 = 5;
-/// One place in a cell of so many pixels squared.
+/// Side of the cells of a sketch, px: one place of each is kept.
 const CELL_PX: usize = 8;
-/// A place is off a surface that is so far away, m, and on one that is no further than this; between them it says nothing. Cameras that
-/// differ by as much as `ON_M` contradict the calibration, and are refused before.
+/// A place is off a surface that is further away than this, m: twice [`ON_M`], so that noise does not decide.
 const OFF_M: f32 = 2e-3;
+/// A place is on a surface that is nearer than this, m. Cameras that differ by as much contradict the calibration,
+/// and are refused before.
 const ON_M: f32 = 1e-3;
-/// A surface further away is another one, m.
+/// A surface that is further away than this is another one, m.
 const NEAR_M: f32 = 0.05;
-/// A camera says something by so many places at least, of which so many speak one way for one that speaks the other way.
+/// The least number of places by which a camera gives evidence: fewer may be noise.
 const LEAST_PLACES: u32 = 40;
+/// The least number of places on one side for each place on the other.
 const TO_ONE: u32 = 10;
 
 /// A cloud, thinned to one place a cell of its camera's pixels.
@@ -71,30 +74,30 @@ impl Sketch {
 /// The sketches of a trigger's clouds, by the camera's place in the calibration; `None` where there is no cloud.
 pub type Sketches = Vec<Option<Sketch>>;
 
-/// Places that speak for a frame's own trigger, and against it for another one.
+/// Votes of places for a frame's own trigger, and for another one.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Votes {
-    /// For its own.
+    /// The number of places that vote for the trigger that the frame is filed under.
     pub own: u32,
-    /// For the other.
+    /// The number of places that vote for the other trigger.
     pub other: u32,
 }
 
 impl Votes {
-    fn says_other(self) -> bool {
+    fn is_for_other(self) -> bool {
         self.other >= LEAST_PLACES && self.other >= TO_ONE * self.own
     }
 
-    fn says_own(self) -> bool {
+    fn is_for_own(self) -> bool {
         self.own >= LEAST_PLACES && self.own >= TO_ONE * self.other
     }
 }
 
-/// What other cameras say of a frame, by the other trigger and the camera's place in the calibration.
-pub type Said = BTreeMap<(u64, usize), Votes>;
+/// The votes of other cameras on a frame, by the other trigger and the camera's place in the calibration.
+pub type Evidence = BTreeMap<(u64, usize), Votes>;
 
-/// The places of a camera's cloud that another camera has something near to at the same trigger: place, pixel of the other camera, and
-/// how far from its surface, m.
+/// The places of a camera's cloud that another camera has something near to at the same trigger: place, pixel of the
+/// other camera, and how far from its surface, m.
 fn seen<'a>(
     own: &'a Sketch,
     by: &'a Sketch,
@@ -103,7 +106,7 @@ fn seen<'a>(
     let centre = device.centre().cast::<f32>();
     own.places.iter().filter_map(move |cell| {
         let (place, normal) = own.cells[*cell as usize].as_ref()?;
-        // What turns away from the other camera is not seen by it.
+        // A surface that faces away from the other camera is not seen by it.
         let faces = normal.dot(&(centre - place)) > 0.0;
         let pixel = device.project(&faces.then(|| place.cast())?).filter(|pixel| device.contains(*pixel))?;
         let pixel = pixel.map(|x| x.max(0.0) as usize);
@@ -111,14 +114,15 @@ fn seen<'a>(
     })
 }
 
-/// What the other cameras say of a camera's frame of a trigger; `sketches` by trigger. What is of no weight is left out. `None` where no
-/// other camera of its head speaks against it: the frame is of its own trigger, whatever is said of others.
-pub fn ask(
+/// The votes of the other cameras on a camera's frame of a trigger; `sketches` by trigger. Votes without weight are
+/// left out. `None` where no other camera of its head votes against it: the frame is of its own trigger, whatever
+/// the votes on others are.
+pub fn evidence_on(
     calibration: &Calibration,
     sketches: &BTreeMap<u64, Sketches>,
     trigger: u64,
     camera: usize,
-) -> Option<Said> {
+) -> Option<Evidence> {
     let head = heads(calibration);
     let at_own = |place: usize| sketches.get(&trigger)?.get(place)?.as_ref();
     let own = at_own(camera)?;
@@ -132,9 +136,9 @@ pub fn ask(
     let is_off = |&(_, device, by): &(usize, &Device, &Sketch)| {
         seen(own, by, device).filter(|(.., here)| *here > OFF_M).count() >= LEAST_PLACES as usize
     };
-    // Nearly all frames end here.
+    // Nearly all frames have no such vote, and cost nothing more.
     others.iter().filter(|(other, ..)| is_mate(*other)).any(is_off).then_some(())?;
-    let mut said = Said::new();
+    let mut evidence = Evidence::new();
     for (other, device, by) in others {
         let near = sketches.range(trigger.saturating_sub(REACH)..=trigger.saturating_add(REACH));
         let near = near.filter(|(at, _)| **at != trigger);
@@ -149,10 +153,10 @@ pub fn ask(
                 votes.other += u32::from(off && there < ON_M);
             }
         }
-        said.extend(near.iter().zip(votes).map(|((at, _), votes)| ((*at, other), votes)));
+        evidence.extend(near.iter().zip(votes).map(|((at, _), votes)| ((*at, other), votes)));
     }
-    said.retain(|_, votes| votes.says_other() || votes.says_own());
-    said.iter().any(|((_, other), votes)| is_mate(*other) && votes.says_other()).then_some(said)
+    evidence.retain(|_, votes| votes.is_for_other() || votes.is_for_own());
+    evidence.iter().any(|((_, other), votes)| is_mate(*other) && votes.is_for_other()).then_some(evidence)
 }
 
 /// The frames of other triggers: trigger, place of the camera, and the trigger that they show.
@@ -164,23 +168,24 @@ fn heads(calibration: &Calibration) -> Vec<usize> {
     heads.flat_map(|(place, head)| head.cameras.iter().map(move |_| place)).collect()
 }
 
-/// Which frames are of another trigger than that they are filed under, by what is said of each. Two cameras of one head cannot tell
-/// which of them is wrong: another head must say the same, and no camera may say that the frame is of its own trigger. What a
-/// stranger says of others counts no more, until nothing changes.
-pub fn strangers(calibration: &Calibration, said: &mut BTreeMap<(u64, usize), Said>) -> Strangers {
+/// Which frames are of another trigger than that they are filed under, by the votes on each. Two cameras of one head
+/// cannot decide which of them is wrong: another head must vote the same, and no camera may vote for the frame's own
+/// trigger. The votes of a stranger on others count no more; this is repeated until nothing changes.
+pub fn strangers(calibration: &Calibration, evidence: &mut BTreeMap<(u64, usize), Evidence>) -> Strangers {
     let head = heads(calibration);
     let mut strangers = Strangers::new();
     loop {
-        let shown =
-            |(frame, said): (&(u64, usize), &Said)| Some((*frame, shown_trigger(said, frame.1, &head)?));
-        let found: Strangers = said.par_iter().filter_map(shown).collect();
+        let shown = |(frame, evidence): (&(u64, usize), &Evidence)| {
+            Some((*frame, shown_trigger(evidence, frame.1, &head)?))
+        };
+        let found: Strangers = evidence.par_iter().filter_map(shown).collect();
         if found.is_empty() {
             return strangers;
         }
-        said.retain(|frame, _| !found.contains_key(frame));
-        for ((trigger, _), said) in said.iter_mut() {
-            // By its places at the frame's trigger and at the other one it has spoken.
-            said.retain(|(at, other), _| {
+        evidence.retain(|frame, _| !found.contains_key(frame));
+        for ((trigger, _), evidence) in evidence.iter_mut() {
+            // A stranger has voted by its places at the frame's trigger, and at the other one.
+            evidence.retain(|(at, other), _| {
                 !found.contains_key(&(*trigger, *other)) && !found.contains_key(&(*at, *other))
             });
         }
@@ -188,31 +193,31 @@ pub fn strangers(calibration: &Calibration, said: &mut BTreeMap<(u64, usize), Sa
     }
 }
 
-/// Frames of which the other camera of the head says that they are of another trigger, while nobody says that they are of their own:
-/// the same of each of the two, so that one of them is a stranger, and nobody knows which.
-pub fn suspects(calibration: &Calibration, said: &BTreeMap<(u64, usize), Said>) -> Strangers {
+/// Frames that the other camera of the head votes to be of another trigger, while no camera votes for their own: the
+/// same holds for each of the two, so that one of them is a stranger, without proof which.
+pub fn suspects(calibration: &Calibration, evidence: &BTreeMap<(u64, usize), Evidence>) -> Strangers {
     let head = heads(calibration);
-    let of = |((trigger, camera), said): (&(u64, usize), &Said)| {
+    let of = |((trigger, camera), evidence): (&(u64, usize), &Evidence)| {
         let against =
-            said.iter().find(|((_, other), votes)| head[*other] == head[*camera] && votes.says_other());
+            evidence.iter().find(|((_, other), votes)| head[*other] == head[*camera] && votes.is_for_other());
         let ((at, _), _) = against?;
-        let is_own = said.iter().any(|((of, _), votes)| of == at && votes.says_own());
+        let is_own = evidence.iter().any(|((of, _), votes)| of == at && votes.is_for_own());
         (!is_own).then_some(((*trigger, *camera), *at))
     };
-    said.iter().filter_map(of).collect()
+    evidence.iter().filter_map(of).collect()
 }
 
 /// The trigger that a frame shows, where that is without doubt another one than its own.
-fn shown_trigger(said: &Said, camera: usize, head: &[usize]) -> Option<u64> {
+fn shown_trigger(evidence: &Evidence, camera: usize, head: &[usize]) -> Option<u64> {
     let mut by_trigger: BTreeMap<u64, Vec<(usize, Votes)>> = BTreeMap::new();
-    for ((at, other), votes) in said {
+    for ((at, other), votes) in evidence {
         by_trigger.entry(*at).or_default().push((*other, *votes));
     }
     let is_mate = |other: usize| head[other] == head[camera];
     let without_doubt = |votes: &[(usize, Votes)]| {
-        let says =
-            |mate: bool| votes.iter().any(|(other, votes)| is_mate(*other) == mate && votes.says_other());
-        says(true) && says(false) && !votes.iter().any(|(_, votes)| votes.says_own())
+        let votes_for =
+            |mate: bool| votes.iter().any(|(other, votes)| is_mate(*other) == mate && votes.is_for_other());
+        votes_for(true) && votes_for(false) && !votes.iter().any(|(_, votes)| votes.is_for_own())
     };
     let weight = |votes: &[(usize, Votes)]| votes.iter().map(|(_, votes)| votes.other).sum::<u32>();
     let candidates = by_trigger.into_iter().filter(|(_, votes)| without_doubt(votes));

@@ -2,12 +2,11 @@
 //! What was submitted: `OUT/cluster/job.json`.
 
 use super::sizing::Sizing;
-use crate::base::{json, regular, write_whole};
+use crate::base::{json, regular};
 use serde::{Deserialize, Serialize};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Raised whenever a reader would have to know more.
+/// The version of the format, raised whenever older readers would misread it.
 const VERSION: u32 = 1;
 
 /// Where scripts, logs and `job.json` of a result are.
@@ -22,7 +21,6 @@ pub struct Job {
     version: u32,
     /// What is made of which session.
     pub work: Work,
-    /// Number of shards.
     pub shards: u64,
     /// The shards that are in the job array: those that were not finished when it was submitted.
     pub array: Vec<u64>,
@@ -30,7 +28,7 @@ pub struct Job {
     pub at_once: Option<u64>,
     /// Processors, memory and time of a task.
     pub sizing: Sizing,
-    /// Further options of `sbatch`.
+    /// Further options of `sbatch`, as the user gave them.
     pub sbatch: Vec<String>,
     /// Slurm's number of the job array; `None`: all shards were finished.
     pub array_job: Option<u64>,
@@ -79,7 +77,7 @@ impl Job {
         folder(out).join("job.json")
     }
 
-    /// Whether something was ever submitted for this result.
+    /// Whether a job was ever submitted for this result.
     pub fn exists(out: &Path) -> bool {
         Self::path(out).exists()
     }
@@ -109,9 +107,7 @@ impl Job {
 
     /// Writes it beside its scripts.
     pub fn save(&self) -> Result<(), String> {
-        let path = Self::path(&self.work.out);
-        let text = serde_json::to_string_pretty(self).map_err(|e| e.to_string())?;
-        write_whole(&path, |file| writeln!(file, "{text}")).map_err(|e| format!("{}: {e}", path.display()))
+        json::save(&Self::path(&self.work.out), self)
     }
 
     /// Frame sets of a shard: the triggers that leave its number when divided by the number of shards.

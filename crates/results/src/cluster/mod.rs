@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A reconstruction spread over a cluster. Slurm is the engine: it queues, places, watches and repeats; here are the
-//! scripts that it runs, their size, and what it says of them.
+//! scripts that it runs, their size, and their state by its client programs.
 //!
 //! ```text
 //! OUT/cluster/job.json           what was submitted, with Slurm's numbers
@@ -10,8 +10,8 @@
 //! OUT/cluster/log/               what the tasks printed
 //! ```
 //!
-//! A shard is all that a task knows: it may be killed at any time and be run again, there or elsewhere, even beside
-//! itself, and leaves the same bytes (`batch::collect_shards`, `export::write_whole`).
+//! A task needs nothing but its shard: it may be killed at any time and be run again, there or elsewhere, even twice
+//! at the same time, and leaves the same bytes (`batch::collect_shards`, `export::write_whole`).
 
 mod job;
 mod script;

@@ -6,14 +6,15 @@ use crate::base::write_whole;
 use std::io::Write;
 use std::path::Path;
 
-/// Times that Slurm starts a task anew after it has failed.
+/// How many times a task that has failed is started again.
 const RETRIES: u32 = 3;
 
-/// Seconds before the limit of time at which a task is told to end.
+/// Seconds before the limit of time at which Slurm sends a task the signal to end: a frame set takes less.
 const NOTICE_S: u32 = 60;
 
-/// Limit of the collecting job: minutes, and seconds for each frame set, of which it reads and writes 60 MB.
+/// Minutes that the collecting job may take in any case.
 const COLLECT_MIN: u64 = 30;
+/// Seconds that the collecting job may take for each frame set, of which it reads and writes 60 MB.
 const COLLECT_S: u64 = 2;
 
 /// Text as one word of a shell.
@@ -62,14 +63,14 @@ fn command(job: &Job) -> String {
     )
 }
 
-/// Before the command, which runs beside the script so that this can act.
-const NOTICE: &str = r#"# Slurm says that the time is nearly over: end. What is finished stays, the next start goes on there. (TERM is what
+/// The lines before the command, which runs in the background so that the script can handle signals.
+const NOTICE: &str = r#"# Slurm signals that the time is nearly over: end. What is finished stays, the next start goes on there. (TERM is what
 # `scancel` sends, and ends this script.)
 trap 'kill "$!"' USR1
 "#;
 
-/// What a task does with the exit code of its command: what can succeed another time is done another time.
-/// `own`: how Slurm is told of this task. (The number of an array's last task is also that of the array.)
+/// The end of a script, which handles the exit code of its command: what may succeed at another time is tried again.
+/// `own`: the name of this task for Slurm. (The number of an array's last task is also that of the array.)
 fn ending(own: &str) -> String {
     format!(
         r#" &

@@ -11,19 +11,20 @@ use crate::base::{json, regular};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What each further processor of a task adds to the first: `make bench-reconstruct` tells it of the second, as
+/// What each further processor of a task adds to the first: `make bench-reconstruct` measures it for the second, as
 /// `scaling_2_threads` (1.70, of two processors that share their memory). It is taken for the others, too.
 const EFFICIENCY: f64 = 0.7;
 
 /// The limit of time over what is expected: nodes differ, and a shared disk has busy hours.
 const TIME_MARGIN: f64 = 2.0;
 
-/// For the node's own preparations and reading the session's index, minutes.
+/// Minutes that a task may take to start: preparations of the machine, and reading the session's index.
 const START_MIN: f64 = 10.0;
 
-/// The memory asked for over what was measured on a few frame sets: it grows for a while with what a task has seen
+/// The memory requested over what was measured on a few frame sets: it grows for a while with what a task has seen
 /// (docs/guide/cluster.md), and a person near the camera covers more pixels.
 const MEMORY_MARGIN: f64 = 2.0;
+/// Memory requested in addition, MiB, for the program itself and the session's index.
 const MEMORY_SPARE_MIB: f64 = 256.0;
 
 /// What a frame set was measured to take.
@@ -33,7 +34,7 @@ pub struct Measured {
     pub cpu_s_per_frame_set: f64,
     /// The most memory at once, bytes.
     pub peak_memory_bytes: u64,
-    /// Threads of that process.
+    /// Threads of the process that was measured.
     pub threads: u64,
 }
 
@@ -47,7 +48,7 @@ struct Timings {
 }
 
 impl Measured {
-    /// Reads what `reconstruct --timings` wrote of a run with so many cameras.
+    /// Reads what `reconstruct --timings` wrote of a run with this number of cameras.
     pub fn load(path: &Path, cameras: usize) -> Result<Self, String> {
         let fail = |e: &dyn std::fmt::Display| {
             format!("{}: {e}; expected what `fourdbody reconstruct --timings` writes", path.display())
@@ -65,20 +66,19 @@ impl Measured {
     }
 }
 
-/// What the user asks for.
+/// The size that the user requests.
 #[derive(Debug, Clone, Copy)]
 pub struct Wish {
-    /// This many tasks.
+    /// The number of tasks, where the user gave one.
     pub tasks: Option<u64>,
-    /// Tasks of about so many hours, where their number is not given.
+    /// The hours that a task is to take, where the number of tasks is not given.
     pub hours: f64,
-    /// Processors of a task.
     pub cpus: u64,
-    /// Tasks that the cluster takes in one array.
+    /// The most tasks that the cluster accepts in one array.
     pub most_tasks: u64,
 }
 
-/// Size of the tasks.
+/// The size of the tasks that a session is divided into.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sizing {
@@ -86,9 +86,7 @@ pub struct Sizing {
     pub tasks: u64,
     /// Frame sets of the largest.
     pub frame_sets_per_task: u64,
-    /// Processors of each.
     pub cpus: u64,
-    /// Memory of each, MiB.
     pub memory_mib: u64,
     /// The time that each is expected to take, minutes.
     pub expected_min: f64,
@@ -98,7 +96,7 @@ pub struct Sizing {
     pub cpu_s_per_frame_set: f64,
 }
 
-/// Sizes the tasks for so many frame sets.
+/// Sizes the tasks for this number of frame sets.
 pub fn size(frame_sets: u64, measured: Measured, wish: Wish) -> Result<Sizing, String> {
     let cpus = wish.cpus.max(1);
     let speed = 1.0 + EFFICIENCY * (cpus - 1) as f64;
@@ -112,7 +110,8 @@ pub fn size(frame_sets: u64, measured: Measured, wish: Wish) -> Result<Sizing, S
     };
     if tasks > wish.most_tasks {
         return Err(format!(
-            "{tasks} tasks: the cluster takes at most {} in one array (MaxArraySize); give fewer --tasks, more --hours or \
+            "{tasks} tasks: the cluster takes at most {} in one array (MaxArraySize); give fewer --tasks, \
+             more --hours or \
              more --cpus",
             wish.most_tasks
         ));
@@ -171,7 +170,7 @@ mod tests {
             let sizing = size(frame_sets, MEASURED, wish).expect("fits");
             prop_assert!(sizing.tasks * sizing.frame_sets_per_task >= frame_sets && sizing.tasks <= frame_sets);
             prop_assert!(sizing.limit_min as f64 > sizing.expected_min);
-            // As long as was asked for, but for the frame set that cannot be cut.
+            // As long as was requested, but for the frame set that cannot be cut.
             prop_assert!(sizing.expected_min <= hours * 60.0 + 0.9 / 60.0 + 1e-9);
         }
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Slurm's client programs: what they are told, and what they answer.
+//! Slurm's client programs: their arguments, and their output.
 //!
-//! They are asked for delimited columns: those are the same in all versions, which their JSON is not.
+//! Their output is requested as delimited columns: those are the same in all versions, which their JSON is not.
 
 use serde::Serialize;
 use std::io;
@@ -10,13 +10,12 @@ use std::process::Command;
 
 /// Columns of `squeue`, each with its delimiter.
 const SQUEUE_COLUMNS: &str = "ArrayJobID:|,ArrayTaskID:|,State:|,Reason:|,TimeUsed:|,RestartCnt:|,NodeList:|";
-/// Columns of `sacct`.
+/// Columns of `sacct`, with `|` between them.
 const SACCT_COLUMNS: &str = "JobID,State,ExitCode,Elapsed,NodeList";
 
-/// What Slurm says of a task of an array, or of a job by itself.
+/// A task of an array, or a job by itself, as Slurm reports it.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Task {
-    /// The job.
     #[serde(skip)]
     pub job: u64,
     /// Its number in the array.
@@ -34,12 +33,12 @@ pub struct Task {
     pub nodes: String,
 }
 
-/// What Slurm says of some jobs.
+/// What Slurm reports of some jobs.
 #[derive(Debug, Clone, Default)]
 pub struct Answer {
-    /// All tasks that it knows of.
+    /// All tasks that Slurm has, or its accounting.
     pub tasks: Vec<Task>,
-    /// Whether the controller answered: a job that is not among the tasks has ended.
+    /// Whether the controller answered: then a job that is not among the tasks has ended.
     pub answered: bool,
     /// Sources that did not answer.
     pub notes: Vec<String>,
@@ -50,13 +49,14 @@ pub struct Answer {
 pub struct Slurm(());
 
 impl Slurm {
-    /// Looks for the client programs. An error says how they come.
+    /// Looks for the client programs. An error states how to install them.
     pub fn find() -> Result<Self, String> {
         match Command::new("sbatch").arg("--version").output() {
             Ok(output) if output.status.success() => Ok(Self(())),
             Ok(output) => Err(format!("sbatch: {}", message(&output))),
             Err(error) if error.kind() == io::ErrorKind::NotFound => Err(
-                "sbatch is not installed: expected Slurm's client programs here (Debian: slurm-client) and its configuration; run \
+                "sbatch is not installed: expected Slurm's client programs here (Debian: slurm-client) and \
+                 its configuration; run \
                  this on a machine of the cluster, or see the scripts with --dry-run"
                     .to_owned(),
             ),
@@ -79,20 +79,20 @@ impl Slurm {
         }
     }
 
-    /// Takes a job back.
+    /// Cancels a job, whether it waits or runs.
     pub fn cancel(self, job: u64) -> Result<(), String> {
         let output =
             Command::new("scancel").arg(job.to_string()).output().map_err(|e| format!("scancel: {e}"))?;
         if output.status.success() { Ok(()) } else { Err(format!("scancel {job}: {}", message(&output))) }
     }
 
-    /// Tasks that one array may have; `None` where the controller does not tell.
+    /// Tasks that one array may have; `None` where the controller does not report it.
     pub fn most_tasks(self) -> Option<u64> {
         let output = Command::new("scontrol").args(["show", "config"]).output().ok()?;
         parse_most_tasks(&String::from_utf8_lossy(&output.stdout))
     }
 
-    /// What the controller knows of these jobs, and the accounting of those that it has forgotten.
+    /// The tasks of these jobs: by the controller, and by the accounting where the controller has forgotten them.
     pub fn tasks(self, jobs: &[u64]) -> Answer {
         let mut answer = Answer { answered: true, ..Answer::default() };
         if jobs.is_empty() {
@@ -115,7 +115,7 @@ impl Slurm {
                     }
                 }
             }
-            // Many clusters have no accounting: the results tell what is done.
+            // Many clusters have no accounting: the results show what is done.
             Err(reason) if reason.contains("storage is disabled") => {}
             Err(reason) => answer.notes.push(reason),
         }
@@ -123,7 +123,7 @@ impl Slurm {
     }
 }
 
-/// What a program prints.
+/// The output of a client program.
 fn ask(program: &str, arguments: &[&str], more: &[String]) -> Result<String, String> {
     let output = Command::new(program).args(arguments).args(more).output();
     let output = output.map_err(|e| format!("{program}: {e}"))?;
@@ -131,7 +131,7 @@ fn ask(program: &str, arguments: &[&str], more: &[String]) -> Result<String, Str
     if output.status.success() { Ok(text()) } else { Err(format!("{program}: {}", message(&output))) }
 }
 
-/// What a program that failed says.
+/// The error message of a program that failed.
 fn message(output: &std::process::Output) -> String {
     let text = String::from_utf8_lossy(&output.stderr);
     if text.trim().is_empty() { output.status.to_string() } else { text.trim().to_owned() }

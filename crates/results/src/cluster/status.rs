@@ -1,16 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How far a submitted reconstruction is: Slurm's word for what waits and runs, the results' own for what is done.
+//! How far a submitted reconstruction is: by Slurm what waits and runs, by the results what is done.
 //!
-//! A summary is written when all files of its shard are there, so that it is believed more than any scheduler; and where a
-//! controller has forgotten its jobs and there is no accounting, it is all there is.
+//! A summary is written when all files of its shard are there, so that it counts more than the scheduler.
+//! Where a controller has forgotten its jobs and there is no accounting, it is the only source.
 
 use super::job::Job;
 use super::slurm::{Answer, Task};
 use crate::base::{json, regular};
-use crate::batch::collect_shards::summary_path;
-use crate::batch::run::merged_path;
+use crate::batch::files::{merged_path, summary_path};
 use crate::batch::summary::Summary;
-use crate::formats::{phase_file, ply};
+use crate::formats::{named, phase_file, ply};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,9 +21,9 @@ use std::path::PathBuf;
 pub enum State {
     /// For processors, for the job before it, or to be started anew.
     Waiting,
-    /// On a node.
+    /// Slurm runs it on a node.
     Running,
-    /// Its summary is there.
+    /// Its summary is there, whatever Slurm reports.
     Done,
     /// It has ended, and its summary is not there.
     Failed,
@@ -32,26 +31,22 @@ pub enum State {
     Unknown,
 }
 
-/// One shard.
+/// The state of one shard, with its frame sets.
 #[derive(Debug, Clone, Serialize)]
 pub struct ShardStatus {
-    /// Its number.
     pub shard: u64,
-    /// Its state.
     pub state: State,
-    /// Its frame sets.
     pub frame_sets: u64,
     /// Of these, those whose files are there.
     pub frame_sets_done: u64,
-    /// What Slurm says of its task.
+    /// Its task, as Slurm reports it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub task: Option<Task>,
 }
 
-/// All of it.
+/// The state of a submitted reconstruction, as `cluster status` prints it.
 #[derive(Debug, Clone, Serialize)]
 pub struct Status {
-    /// Where the results are.
     pub out: String,
     /// State of the whole; done when the collected result is there.
     pub state: State,
@@ -63,21 +58,20 @@ pub struct Status {
     pub frame_sets: u64,
     /// Of these, those whose files are there.
     pub frame_sets_done: u64,
-    /// The shards.
     pub shards: Vec<ShardStatus>,
     /// State of the collecting job.
     pub collecting: State,
-    /// What Slurm says of it.
+    /// The collecting job, as Slurm reports it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub collecting_task: Option<Task>,
     /// Sources that did not answer.
     pub notes: Vec<String>,
-    /// What became of all frames, when it is known.
+    /// The summary of the collected result, where it is there.
     #[serde(skip)]
     pub summary: Option<Summary>,
 }
 
-/// The state that Slurm's word and the results come to.
+/// The state that follows from Slurm's word for it and from the results.
 fn judge(word: Option<&str>, done: bool, answered: bool) -> State {
     match word {
         Some("RUNNING" | "COMPLETING" | "SUSPENDED" | "STAGE_OUT" | "SIGNALING" | "STOPPED") => {
@@ -93,7 +87,7 @@ fn judge(word: Option<&str>, done: bool, answered: bool) -> State {
     }
 }
 
-/// Reads how far a job is, of which Slurm says this.
+/// Reads how far a job is; `answer`: what Slurm reports of it.
 pub fn read(job: &Job, answer: Answer) -> Status {
     let Answer { tasks, answered, notes } = answer;
     let word = |task: &Option<Task>| task.as_ref().map(|task| task.state.clone());
@@ -165,7 +159,7 @@ fn count_results(job: &Job, unfinished: &BTreeSet<u64>) -> BTreeMap<u64, u64> {
             let path = entry.path();
             let stem =
                 path.file_name()?.to_str()?.strip_suffix(if job.work.phase { ".phase" } else { ".ply" })?;
-            let index = stem.rsplit_once('_').map_or(stem, |(_, index)| index).parse::<u64>().ok()?;
+            let (index, _) = named(stem)?;
             (job.work.triggers[0]..job.work.triggers[1]).contains(&index).then_some((index, path))
         })
         .filter(|(index, _)| unfinished.contains(&(index % job.shards)))

@@ -2,11 +2,11 @@
 //! A session's frames to pictures: `OUT/CAMERA/INDEX.png` (or `.tiff`), 8-bit grey without loss, the names that
 //! `fourdbody import` and `reconstruct` read.
 
-use super::job::{ExportError, claim};
+use super::job::claim;
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::{Mono8, encode_png_grey};
-use crate::base::write_whole;
-use crate::data::{Frame, FrameSource};
+use crate::base::{Fault, write_whole};
+use crate::data::FrameSource;
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Map, json};
@@ -16,12 +16,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// A format of pictures.
+/// A format of pictures that frames are exported to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Picture {
-    /// PNG.
     Png,
-    /// TIFF, not compressed.
+    #[cfg(feature = "tiff")]
     Tiff,
 }
 
@@ -30,6 +29,7 @@ impl Picture {
     pub fn extension(self) -> &'static str {
         match self {
             Self::Png => "png",
+            #[cfg(feature = "tiff")]
             Self::Tiff => "tiff",
         }
     }
@@ -40,12 +40,13 @@ impl Picture {
     }
 
     fn write(self, out: impl Write + Seek, image: Mono8<'_>) -> io::Result<()> {
-        let side = |side: usize| u32::try_from(side).map_err(io::Error::other);
-        // Dropped with bytes in it, it would not tell that they could not be written.
+        // A buffer that is dropped with bytes in it reports no error of writing them.
         let mut out = BufWriter::new(out);
         match self {
             Self::Png => encode_png_grey(&mut out, image)?,
+            #[cfg(feature = "tiff")]
             Self::Tiff => {
+                let side = |side: usize| u32::try_from(side).map_err(io::Error::other);
                 let (width, height) = (side(image.width())?, side(image.height())?);
                 let mut encoder = tiff::encoder::TiffEncoder::new(&mut out).map_err(io::Error::other)?;
                 encoder
@@ -57,52 +58,46 @@ impl Picture {
     }
 }
 
-/// What to write.
+/// Which frames of a session are written, where, and as what.
 #[derive(Debug, Clone)]
 pub struct FramePlan {
-    /// Where the pictures go.
+    /// The directory that the pictures go to.
     pub out: PathBuf,
-    /// Which session this is, in words that tell it from others.
+    /// The session that the frames are of, in words that no other session has.
     pub origin: String,
-    /// The formats.
     pub formats: Vec<Picture>,
-    /// Which triggers.
     pub triggers: Range<u64>,
-    /// Which cameras.
     pub cameras: Vec<CameraId>,
 }
 
-/// What became of it.
+/// The numbers of frames that were written, kept, missing and damaged.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct FrameSummary {
-    /// Frames expected.
+    /// Frames of the plan: its triggers times its cameras.
     pub frames: usize,
-    /// Pictures written.
     pub written: usize,
-    /// Pictures found finished.
+    /// Pictures that were finished before this run.
     pub skipped: usize,
-    /// Frames that are missing, as the session says.
+    /// Frames that are missing, each with a gap record.
     pub gaps: usize,
     /// Frames that could not be read, with the reason: at most [`MAX_PROBLEMS`] of them.
     pub problems: Vec<String>,
-    /// Those beyond.
+    /// The number of further such frames.
     pub more_problems: usize,
 }
 
-/// What cannot be read is listed up to so many frames: a recording that claims millions costs no more than it is long.
+/// Unreadable frames that are listed at most: a damaged recording may claim millions of them.
 pub const MAX_PROBLEMS: usize = 1000;
 
-/// Writes the pictures that are not there yet, on the current rayon pool. `progress` is told frames done and their number. An
-/// error is one of writing.
+/// Writes the pictures that are not there yet, on the current rayon pool. `progress` gets the number of frames done
+/// and of all. An error is one of writing.
 pub fn run(
     source: &dyn FrameSource,
     plan: &FramePlan,
     progress: impl Fn(u64, u64) + Sync,
-) -> Result<FrameSummary, ExportError> {
-    let make = |folder: &Path| {
-        let failed = |e| ExportError::Write(format!("{}: {e}", folder.display()));
-        std::fs::create_dir_all(folder).map_err(failed)
-    };
+) -> Result<FrameSummary, Fault> {
+    let make =
+        |folder: &Path| std::fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()));
     make(&plan.out)?;
     let mut wanted = Map::new();
     for format in &plan.formats {
@@ -120,9 +115,9 @@ pub fn run(
     let (done, total) = (AtomicU64::new(0), frames.len() as u64);
     let summary = Mutex::new(FrameSummary { frames: frames.len(), ..FrameSummary::default() });
     frames.into_par_iter().with_max_len(1).try_for_each(|(trigger, camera)| {
-        export(source, plan, trigger, camera, &summary).map_err(ExportError::Write)?;
+        export(source, plan, trigger, camera, &summary)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-        Ok::<(), ExportError>(())
+        Ok::<(), Fault>(())
     })?;
     let mut summary = summary.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     summary.problems.sort();
@@ -158,13 +153,9 @@ fn export(
             return Ok(());
         }
     };
-    let image = match &frame {
-        Frame::Image(image) => *image,
-        Frame::Owned(plane) => Mono8::from(plane),
-        Frame::Gap(_) => {
-            count(&|summary| summary.gaps += 1);
-            return Ok(());
-        }
+    let Some(image) = frame.image() else {
+        count(&|summary| summary.gaps += 1);
+        return Ok(());
     };
     for format in missing {
         let path = path(format);
@@ -180,7 +171,7 @@ mod tests {
     use crate::base::image::Mono8;
     use std::io::{self, Cursor, Seek, SeekFrom, Write};
 
-    /// A medium with room for so many bytes.
+    /// A medium with room for a number of bytes.
     struct Medium {
         file: Cursor<Vec<u8>>,
         room: usize,
@@ -207,7 +198,11 @@ mod tests {
     fn a_picture_that_does_not_fit_is_no_success() {
         let pixels: Vec<u8> = (0..60 * 40).map(|i| (i * 7 % 251) as u8).collect();
         let image = Mono8::new(60, 40, &pixels).expect("a picture");
-        for format in [Picture::Png, Picture::Tiff] {
+        for format in [
+            Picture::Png,
+            #[cfg(feature = "tiff")]
+            Picture::Tiff,
+        ] {
             let write = |room| {
                 let mut medium = Medium { file: Cursor::new(Vec::new()), room };
                 format.write(&mut medium, image).map(|()| medium.file.into_inner().len())

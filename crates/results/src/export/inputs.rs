@@ -3,7 +3,7 @@
 //!
 //! | column | is |
 //! |---|---|
-//! | `number` | consecutive since the HSU was switched on; a hole is an edge that nobody knows any more |
+//! | `number` | consecutive since the HSU was switched on; a hole is an edge that no recording has |
 //! | `input`, `edge` | the line, and `rising` or `falling` |
 //! | `hsu_time_ns` | when it came, the HSU's clock |
 //! | `trigger` | index of the last trigger before it |
@@ -16,16 +16,17 @@ use crate::record::{InputEdge, SessionReader};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-/// The first line.
+/// The first line of the table: the names of its columns.
 pub const HEADER: &str = "number,input,edge,hsu_time_ns,trigger,after_trigger_ns,skipped";
 
-/// The edges of a session, by number: all nodes heard the same HSU, and what one of them missed another may have.
+/// The edges of a session, by number: all nodes have the reports of the same HSU, and one may have an edge that
+/// another lacks.
 pub fn edges(session: &SessionReader) -> BTreeMap<u64, InputEdge> {
     let events = session.recordings().iter().flat_map(|recording| &recording.events);
     events.filter_map(InputEdge::of).map(|edge| (edge.number, edge)).collect()
 }
 
-/// Writes the table.
+/// Writes the table of these edges.
 pub fn write(
     mut out: impl Write,
     session: &SessionReader,

@@ -9,18 +9,17 @@
 //! OUT/export.json                  what each of these folders was made of, and how
 //! ```
 //!
-//! A file that is there and not older than the clouds that it is made of is not made again. So that this is right,
-//! a folder takes files of one origin and one kind only: another one is refused. Of a cloud without points nothing is written.
+//! A file that is there and not older than the clouds that it is made of is not made again. So that this is right, a
+//! folder takes files of one origin and one kind only: another one is refused. Of a cloud without points nothing is
+//! written.
 
 use super::mesh::{self, Mesh, MeshKind};
-use crate::base::{json, regular, write_whole};
-use crate::data::Cloud;
-use crate::formats::{CloudSource, Commented, Format, Shape};
-use crate::merge::{self, LeftOut, Rule, View, Viewpoint};
+use crate::base::{Exit, Fault, json, regular};
+use crate::formats::{CloudSource, Commented, Format, Shape, merged_cloud};
+use crate::merge;
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
-use std::io::Write;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -30,35 +29,31 @@ use std::sync::{Mutex, PoisonError};
 const COMMON: [&str; 7] =
     ["fourdbody ", "parameters ", "calibration ", "session ", "trigger ", "time_ns ", "frames "];
 
-/// What to write.
+/// Which clouds are written, where, and as what.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// Where the files go.
+    /// The directory that the files go to.
     pub out: PathBuf,
-    /// Where the clouds come from, in words that tell one origin from another.
+    /// Where the clouds come from, in words that no other origin has.
     pub origin: String,
-    /// The formats.
     pub formats: Vec<Format>,
     /// Whether a file a trigger is written.
     pub merged: bool,
     /// Whether a file a camera and trigger is written.
     pub directional: bool,
-    /// Meshes instead of points.
+    /// Which meshes are written instead of points.
     pub mesh: Option<MeshKind>,
-    /// Which triggers.
     pub triggers: Range<u64>,
     /// Which cameras: places in the source's list.
     pub cameras: Vec<usize>,
 }
 
-/// What became of it.
+/// The numbers of files that were written, kept, empty and damaged.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Summary {
-    /// Triggers looked at.
     pub triggers: usize,
-    /// Files written.
     pub written: usize,
-    /// Files found finished.
+    /// Files that were finished before this run.
     pub skipped: usize,
     /// Clouds without a point, of which nothing is written.
     pub empty: usize,
@@ -72,30 +67,19 @@ pub struct Summary {
     pub problems: Vec<String>,
 }
 
-/// Why an export stopped.
-#[derive(Debug, thiserror::Error)]
-pub enum ExportError {
-    /// The folder has files of another origin or kind.
-    #[error("{0}")]
-    Occupied(String),
-    /// Something could not be written.
-    #[error("{0}")]
-    Write(String),
-}
-
-/// One file to write.
+/// One file that is not finished yet.
 struct Output {
     path: PathBuf,
     format: Format,
 }
 
-/// Writes what the plan asks for, on the current rayon pool. `progress` is told triggers done and their number. An error
-/// is one of writing, or of a folder that holds other things; damaged clouds are in the summary.
+/// Writes what the plan asks for, on the current rayon pool. `progress` gets the number of triggers done and of all.
+/// An error is one of writing, or of a folder that holds other things; damaged clouds are in the summary.
 pub fn run(
     source: &dyn CloudSource,
     plan: &Plan,
     progress: impl Fn(u64, u64) + Sync,
-) -> Result<Summary, ExportError> {
+) -> Result<Summary, Fault> {
     state_origin(source, plan)?;
     let triggers: Vec<(&u64, &Vec<usize>)> = source.triggers().range(plan.triggers.clone()).collect();
     let (done, total) = (AtomicU64::new(0), triggers.len() as u64);
@@ -104,9 +88,9 @@ pub fn run(
     triggers.into_par_iter().with_max_len(1).try_for_each(|(trigger, there)| {
         let cameras: Vec<usize> =
             plan.cameras.iter().copied().filter(|camera| there.contains(camera)).collect();
-        job.trigger(*trigger, &cameras).map_err(ExportError::Write)?;
+        job.trigger(*trigger, &cameras)?;
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-        Ok::<(), ExportError>(())
+        Ok::<(), Fault>(())
     })?;
     let mut summary = job.summary.into_inner().unwrap_or_else(PoisonError::into_inner);
     summary.problems.sort();
@@ -150,39 +134,30 @@ impl Job<'_> {
     /// All files of a trigger; `cameras`: those that have a cloud.
     fn trigger(&self, trigger: u64, cameras: &[usize]) -> Result<(), String> {
         let (of_trigger, of_camera) = folders(self.plan);
-        let mut single: Vec<(usize, Vec<Output>)> = Vec::new();
-        for &camera in cameras.iter().filter(|_| self.plan.directional) {
-            let stem = format!("{}_{trigger:06}", self.source.cameras()[camera].1);
-            let outputs = self.outputs(of_camera, &stem, trigger, &[camera]);
-            if !outputs.is_empty() {
-                single.push((camera, outputs));
-            }
-        }
-        let merged = if self.plan.merged {
-            self.outputs(of_trigger, &format!("{trigger:06}"), trigger, cameras)
-        } else {
-            Vec::new()
+        let name = |camera: &usize| &self.source.cameras()[*camera].1;
+        let single = cameras.iter().filter(|_| self.plan.directional).map(|camera| {
+            self.outputs(of_camera, &format!("{}_{trigger:06}", name(camera)), trigger, &[*camera])
+        });
+        let single: Vec<Vec<Output>> = single.collect();
+        let merged = match self.plan.merged {
+            true => self.outputs(of_trigger, &format!("{trigger:06}"), trigger, cameras),
+            false => Vec::new(),
         };
-        let needed: Vec<usize> = if merged.is_empty() {
-            single.iter().map(|(camera, _)| *camera).collect()
-        } else {
-            cameras.to_vec()
-        };
-        if needed.is_empty() {
+        if merged.is_empty() && single.iter().all(Vec::is_empty) {
             return Ok(());
         }
-        let clouds = match self.source.clouds(trigger, &needed) {
+        let clouds = match self.source.clouds(trigger, cameras) {
             Ok(clouds) => clouds,
             Err(problem) => {
                 self.count(|summary| summary.problems.push(problem));
                 return Ok(());
             }
         };
-        let numbered: Vec<(u8, String)> =
-            needed.iter().map(|&camera| self.source.cameras()[camera].clone()).collect();
-        for (i, commented) in clouds.iter().enumerate() {
-            if let Some((_, outputs)) = single.iter().find(|(camera, _)| needed.get(i) == Some(camera)) {
-                self.save_single(outputs, commented, &numbered[i..=i])?;
+        let numbered = cameras.iter().map(|&camera| self.source.cameras()[camera].clone());
+        let numbered: Vec<(u8, String)> = numbered.collect();
+        for ((outputs, commented), camera) in single.iter().zip(&clouds).zip(numbered.chunks(1)) {
+            if !outputs.is_empty() {
+                self.save_single(outputs, commented, camera)?;
             }
         }
         if merged.is_empty() { Ok(()) } else { self.save_merged(trigger, &merged, &clouds, &numbered) }
@@ -211,7 +186,7 @@ impl Job<'_> {
     ) -> Result<(), String> {
         let mut comments = merged_comments(clouds, cameras);
         let joined = |comments: &mut Vec<String>| {
-            let (cloud, left_out) = join(clouds, cameras);
+            let (cloud, left_out) = merged_cloud(clouds, cameras);
             let stated = || stated_removed(clouds, comments).map(merge::removed_comment);
             let lacks = left_out.comment().or_else(stated);
             comments.extend(lacks);
@@ -263,22 +238,6 @@ impl Job<'_> {
     }
 }
 
-/// The merged cloud of directional ones, by the rule of [`merge`]; number and name of each camera.
-pub fn merged_cloud(clouds: &[Commented], cameras: &[(u8, String)]) -> Cloud {
-    join(clouds, cameras).0
-}
-
-/// The same, and what it lacks.
-fn join(clouds: &[Commented], cameras: &[(u8, String)]) -> (Cloud, LeftOut) {
-    let from: Vec<Option<Viewpoint>> = clouds.iter().map(|(comments, _)| Viewpoint::of(comments)).collect();
-    let views = clouds.iter().zip(&from).zip(cameras);
-    let views =
-        views.map(|(((_, cloud), from), (camera, _))| View { camera: *camera, cloud, from: from.as_ref() });
-    let views: Vec<View<'_>> = views.collect();
-    let left_out = merge::left_out(&views, Rule::default());
-    (merge::merged(&views, &left_out), left_out)
-}
-
 fn merged_comments(clouds: &[Commented], cameras: &[(u8, String)]) -> Vec<String> {
     let first = clouds.first().map_or(&[][..], |(comments, _)| comments);
     let common = first.iter().filter(|comment| COMMON.iter().any(|key| comment.starts_with(key)));
@@ -288,14 +247,15 @@ fn merged_comments(clouds: &[Commented], cameras: &[(u8, String)]) -> Vec<String
     comments
 }
 
-/// What a merged cloud that these clouds were picked out of says that it lacks, if all of its cameras are there.
+/// How many points the merged cloud lacks that these clouds were picked out of, as its file states, if all of its
+/// cameras are there.
 fn stated_removed(clouds: &[Commented], merged: &[String]) -> Option<usize> {
     let (stated, removed) = merge::split_removed(&clouds.first()?.0)?;
     (stated.last() == merged.last()).then_some(removed)
 }
 
 /// Makes the folders, and writes down what they are for; an error where they are for something else.
-fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), ExportError> {
+fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), Fault> {
     let names: Vec<&str> = plan.cameras.iter().map(|&camera| source.cameras()[camera].1.as_str()).collect();
     let (of_trigger, of_camera) = folders(plan);
     let mut wanted = Map::new();
@@ -314,35 +274,35 @@ fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), ExportError
     for (needed, folder) in [(plan.merged, of_trigger), (plan.directional, of_camera)] {
         let path = plan.out.join(folder);
         if needed {
-            let failed = |e| ExportError::Write(format!("{}: {e}", path.display()));
-            std::fs::create_dir_all(&path).map_err(failed)?;
+            std::fs::create_dir_all(&path).map_err(|e| format!("{}: {e}", path.display()))?;
         }
     }
     claim(&plan.out, wanted)
 }
 
-/// Writes statements to OUT/export.json; an error where one of them is there and says something else.
-pub fn claim(out: &Path, wanted: Map<String, Value>) -> Result<(), ExportError> {
+/// Writes statements to OUT/export.json; an error where one of them is there and differs.
+pub fn claim(out: &Path, wanted: Map<String, Value>) -> Result<(), Fault> {
     let path = out.join("export.json");
-    let fail = |e: &dyn std::fmt::Display| ExportError::Write(format!("{}: {e}", path.display()));
+    let fail = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
     let mut stated: Map<String, Value> = match regular::read(&path, regular::STATEMENT_BYTES) {
         Ok(bytes) => json::from_slice(&bytes).map_err(|e| fail(&e))?,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Map::new(),
-        Err(e) => return Err(fail(&e)),
+        Err(e) => return Err(fail(&e).into()),
     };
     for (key, value) in wanted {
         match stated.get(&key) {
             Some(there) if *there != value => {
-                return Err(ExportError::Occupied(format!(
-                    "{}: its {key} were made of {there}, wanted is {value}; give another directory with --out, or delete \
+                let message = format!(
+                    "{}: its {key} were made of {there}, wanted is {value}; give another directory with \
+                     --out, or delete \
                      them and their entry in {}",
                     out.display(),
                     path.display()
-                )));
+                );
+                return Err(Fault::new(Exit::Usage, message));
             }
             _ => drop(stated.insert(key, value)),
         }
     }
-    let text = serde_json::to_string_pretty(&stated).map_err(|e| fail(&e))?;
-    write_whole(&path, |file| file.write_all((text + "\n").as_bytes())).map_err(|e| fail(&e))
+    Ok(json::save(&path, &stated)?)
 }

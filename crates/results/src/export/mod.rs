@@ -1,21 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clouds, meshes, pictures and tables on their way out: files that other programs read.
 
-/// Frames to pictures.
+/// The frames of a session as pictures.
 pub mod frames;
 /// Edges of the HSU's input lines.
 pub mod inputs;
 /// Clouds to files of other formats, many at a time.
 pub mod job;
-/// Triangle meshes.
+/// Clouds as triangle meshes, open or closed.
 pub mod mesh;
 /// Triggers on the cameras' common clock.
 pub mod ptp;
 mod sequence;
-/// When every frame was.
+/// The times of all frames of a session, as a table.
 pub mod timing;
-/// Pictures of clouds.
+/// Clouds drawn as pictures, for people.
 pub mod view;
 
-pub use job::merged_cloud;
-pub use sequence::{Contents, collect};
+pub use sequence::collect;

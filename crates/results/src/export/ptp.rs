@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Triggers on the clock that PTP gives the cameras (docs/guide/other-devices.md).
 //!
-//! A **witness** is a camera that said Slave or Master at the beginning of the session and at its end, and nothing else in
-//! between, was never lost, and whose clock was never set. From its stamps the delay from trigger to stamp is taken away. That
-//! delay is measured: the readings of both clocks say how long after the trigger each stamp was. It is the middle of many,
-//! by readings that leave least open, and what they leave open is stated with each time.
+//! A **witness** is a camera whose PTP status was Slave or Master at the beginning of the session and at its end, and
+//! nothing else in between, was never lost, and whose clock was never set. From its stamps the delay from trigger to
+//! stamp is taken away. That delay is measured: the readings of both clocks show how long after the trigger each
+//! stamp was. It is the middle of many, by readings that leave least open, and what they leave open is stated with
+//! each time.
 
 use crate::base::clock_fit::{ClockFit, Exchange};
 use crate::base::ids::{CameraId, TriggerIndex};
@@ -13,28 +14,27 @@ use crate::record::{
     ClockSample, NodeEvent, PTP_STATUS, RecordingReader, ScaleFound, SessionReader, ptp_keeps,
 };
 
-/// Frames of each witness that its delay is measured by.
+/// The number of frames of each witness by which its delay is measured.
 const LOOKS: usize = 256;
-/// Before the last trigger, ns: what a fit of the clocks still knows.
+/// How long before the last trigger, ns, the fit of the clocks still has bounds.
 const KNOWN_NS: u64 = 50_000_000_000;
-/// Witnesses agree to this besides what reading their clocks leaves open, ns.
+/// The most that witnesses may differ besides the uncertainty of reading their clocks, ns.
 const APART_NS: u64 = 100_000;
 
-/// What a witness says of a trigger.
+/// The time of a trigger by a witness.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PtpInstant {
     /// The trigger, the PTP clock, ns.
     pub time_ns: u64,
     /// What reading the clocks leaves open, to either side, ns. PTP's own error is not in it.
     pub open_ns: u64,
-    /// Who says so.
+    /// The witness whose clock gave this time.
     pub camera: CameraId,
 }
 
 /// A camera whose stamps are times of the PTP clock.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Witness {
-    /// The camera.
     pub camera: CameraId,
     /// From a trigger to its stamp, ns.
     pub delay_ns: i64,
@@ -46,7 +46,7 @@ pub struct Witness {
     place: usize,
 }
 
-/// The cameras that can say when a trigger was.
+/// The cameras whose stamps give the times of triggers on the PTP clock.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 pub struct PtpTime {
     /// The witness that leaves least open comes first.
@@ -58,7 +58,7 @@ pub struct PtpTime {
 }
 
 impl PtpTime {
-    /// As a session's recordings say.
+    /// The witnesses of a session, by its recordings.
     pub fn of(session: &SessionReader) -> Self {
         let (mut witnesses, mut reasons) = (Vec::new(), Vec::new());
         for (number, recording) in session.recordings().iter().enumerate() {
@@ -144,20 +144,20 @@ fn spread(triggers: std::ops::Range<u64>, count: usize) -> impl Iterator<Item = 
     triggers.step_by(usize::try_from(step).unwrap_or(usize::MAX)).map(TriggerIndex)
 }
 
-/// Whether a camera was kept by PTP all the time; `None` where it says nothing of PTP.
+/// Whether a camera was kept by PTP all the time; `None` where it reported no PTP status.
 fn kept_time(camera: &CameraId, events: &[NodeEvent]) -> Option<Result<(), String>> {
     let mut own = events.iter().filter(|event| event.camera.as_ref() == Some(camera));
-    let said: Vec<&str> =
+    let statuses: Vec<&str> =
         own.clone().filter(|event| event.kind == PTP_STATUS).map(|event| event.message.as_str()).collect();
-    if said.is_empty() {
+    if statuses.is_empty() {
         return None;
     }
-    Some(if let Some(other) = said.iter().find(|status| !ptp_keeps(status)) {
+    Some(if let Some(other) = statuses.iter().find(|status| !ptp_keeps(status)) {
         Err(format!("its PTP status was {other}, expected Slave or Master throughout"))
     } else if own.any(|event| event.kind == "camera_back" || event.kind == "camera_clock_reset") {
         Err("it was lost for a while, or its clock was set".to_owned())
-    } else if said.len() < 2 {
-        Err("it did not say at the end of the session what it had said at its beginning".to_owned())
+    } else if statuses.len() < 2 {
+        Err("it reported no PTP status at the end of the session".to_owned())
     } else {
         Ok(())
     })
@@ -204,8 +204,8 @@ fn measured(
     middle_of_the_best(&mut delays).ok_or_else(|| "it has no frame with a time".to_owned())
 }
 
-/// Of delays, each with what is open of it: the middle of the quarter that leaves least open, and the most that is open of
-/// these or lies between them.
+/// Of delays, each with what is open of it: the middle of the quarter that leaves least open, and the most that is
+/// open of these or lies between them.
 fn middle_of_the_best(delays: &mut Vec<(u64, i64)>) -> Option<(i64, u64)> {
     delays.sort_unstable();
     delays.truncate(delays.len().div_ceil(4));
@@ -233,20 +233,23 @@ mod tests {
             trigger: None,
             message: message.to_owned(),
         };
-        let said = |status| event(PTP_STATUS, status);
+        let status = |status| event(PTP_STATUS, status);
         let kept = |events: &[NodeEvent]| kept_time(&id, events);
         assert_eq!(kept(&[]), None);
-        assert_eq!(kept_time(&CameraId("h1_up".to_owned()), &[said("Slave")]), None, "another camera's");
-        assert_eq!(kept(&[said("Slave"), said("Slave")]), Some(Ok(())));
-        assert_eq!(kept(&[said("Slave"), said("Master"), said("Master")]), Some(Ok(())));
+        assert_eq!(kept_time(&CameraId("h1_up".to_owned()), &[status("Slave")]), None, "another camera's");
+        assert_eq!(kept(&[status("Slave"), status("Slave")]), Some(Ok(())));
+        assert_eq!(kept(&[status("Slave"), status("Master"), status("Master")]), Some(Ok(())));
         for (events, reason) in [
-            (vec![said("Listening"), said("Slave")], "was Listening"),
-            (vec![said("Slave"), said("Uncalibrated"), said("Slave"), said("Slave")], "was Uncalibrated"),
-            (vec![said("Slave"), event("camera_back", ""), said("Slave"), said("Slave")], "lost"),
-            (vec![said("Slave"), event("camera_clock_reset", ""), said("Slave")], "set"),
-            (vec![said("Slave")], "at the end"),
+            (vec![status("Listening"), status("Slave")], "was Listening"),
+            (
+                vec![status("Slave"), status("Uncalibrated"), status("Slave"), status("Slave")],
+                "was Uncalibrated",
+            ),
+            (vec![status("Slave"), event("camera_back", ""), status("Slave"), status("Slave")], "lost"),
+            (vec![status("Slave"), event("camera_clock_reset", ""), status("Slave")], "set"),
+            (vec![status("Slave")], "at the end"),
         ] {
-            let refused = kept(&events).expect("it says something").expect_err("no witness");
+            let refused = kept(&events).expect("it has a status").expect_err("no witness");
             assert!(refused.contains(reason), "{refused}");
         }
     }

@@ -1,48 +1,31 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clouds of any source into one sequence, in order of time.
 
-use super::job::{Summary, merged_cloud};
+use super::job::{Plan, Summary};
 use crate::base::write_whole;
 use crate::data::Cloud;
-use crate::formats::CloudSource;
 use crate::formats::sequence::{Options, SequenceWriter};
+use crate::formats::{CloudSource, merged_cloud};
 use rayon::prelude::*;
 use std::io;
-use std::ops::Range;
 use std::path::Path;
 
-/// What goes into a sequence.
-#[derive(Debug, Clone)]
-pub struct Contents {
-    /// Whether merged clouds do.
-    pub merged: bool,
-    /// Whether directional clouds do, each on a topic of its camera.
-    pub directional: bool,
-    /// Which triggers.
-    pub triggers: Range<u64>,
-    /// Which cameras: places in the source's list, in order.
-    pub cameras: Vec<usize>,
-}
+/// A message that is ready to be written: the camera whose topic it belongs to, its points, and its bytes.
+type Ready = (Option<String>, usize, Vec<u8>);
 
-/// A message that is ready to be written, with the camera whose topic it belongs to.
-struct Ready {
-    camera: Option<String>,
-    points: usize,
-    message: Vec<u8>,
-}
-
-/// Writes a sequence, which is never half there; messages are made on the current rayon pool. `time_ns` says when a trigger
-/// was; times must not go back from trigger to trigger. Clouds without points are left out; without any points there is no file. `progress` is told triggers done and their number. An error is one
-/// of writing; damaged clouds are in the summary.
+/// Writes the clouds of a plan as a sequence, which is never half there; messages are made on the current rayon pool.
+/// `time_ns` gives the time of a trigger; times must not go back from trigger to trigger. Clouds without points are
+/// left out; without any points there is no file. `progress` gets the number of triggers done and of all. An error is
+/// one of writing; damaged clouds are in the summary.
 pub fn collect(
     source: &dyn CloudSource,
-    contents: &Contents,
+    plan: &Plan,
     options: Options,
     path: &Path,
     time_ns: impl Fn(u64) -> u64 + Sync,
     progress: impl Fn(u64, u64),
 ) -> io::Result<Summary> {
-    let triggers: Vec<(&u64, &Vec<usize>)> = source.triggers().range(contents.triggers.clone()).collect();
+    let triggers: Vec<(&u64, &Vec<usize>)> = source.triggers().range(plan.triggers.clone()).collect();
     let mut summary = Summary { triggers: triggers.len(), written: 1, ..Summary::default() };
     let mut is_nothing = false;
     let written = write_whole(path, |file| {
@@ -55,13 +38,13 @@ pub fn collect(
                 .par_iter()
                 .map(|(trigger, there)| {
                     let time = time_ns(**trigger);
-                    (time, messages(source, contents, options, **trigger, there, time))
+                    (time, messages(source, plan, options, **trigger, there, time))
                 })
                 .collect();
             for (time, ready) in made {
                 match ready {
                     Ok(ready) => {
-                        for Ready { camera, points, message } in ready {
+                        for (camera, points, message) in ready {
                             if points == 0 {
                                 summary.empty += 1;
                                 continue;
@@ -95,27 +78,26 @@ pub fn collect(
 /// The messages of a trigger.
 fn messages(
     source: &dyn CloudSource,
-    contents: &Contents,
+    plan: &Plan,
     options: Options,
     trigger: u64,
     there: &[usize],
     time_ns: u64,
 ) -> Result<Vec<Ready>, String> {
-    let cameras: Vec<usize> =
-        contents.cameras.iter().copied().filter(|camera| there.contains(camera)).collect();
+    let cameras: Vec<usize> = plan.cameras.iter().copied().filter(|camera| there.contains(camera)).collect();
     let clouds = source.clouds(trigger, &cameras)?;
     let numbered: Vec<(u8, String)> =
         cameras.iter().map(|&camera| source.cameras()[camera].clone()).collect();
     let ready = |camera: Option<String>, cloud: &Cloud| {
         let mut message = Vec::new();
         options.encode(&mut message, time_ns, cloud);
-        Ready { camera, points: cloud.len(), message }
+        (camera, cloud.len(), message)
     };
     let mut made = Vec::new();
-    if contents.merged {
-        made.push(ready(None, &merged_cloud(&clouds, &numbered)));
+    if plan.merged {
+        made.push(ready(None, &merged_cloud(&clouds, &numbered).0));
     }
-    if contents.directional {
+    if plan.directional {
         made.extend(clouds.iter().zip(numbered).map(|((_, cloud), (_, name))| ready(Some(name), cloud)));
     }
     Ok(made)

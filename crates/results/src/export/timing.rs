@@ -15,24 +15,23 @@
 //! | `ptp_scale` | what that clock counts: `TAI` (PTP's own scale), `UTC`, or `own` for neither |
 //! | `time_code` | of the trigger, `HH:MM:SS:FF.fff`; with drop frame `HH:MM:SS;FF.fff` |
 //!
-//! TAI and UTC are nanoseconds since 1970-01-01 00:00:00 of the scale; UTC without leap seconds. What is not known is empty.
+//! TAI and UTC are nanoseconds since 1970-01-01 00:00:00 of the scale; UTC without leap seconds. What is not known is
+//! empty.
 
 use super::ptp::{PtpInstant, PtpTime};
 use crate::base::ids::{CameraId, TriggerIndex};
-use crate::record::{FrameMeta, GapCause, SessionReader, TimeCodeLine};
+use crate::record::{FrameMeta, SessionReader, TimeCodeLine};
 use std::io::{self, Write};
 use std::ops::Range;
 
-/// The first line.
+/// The first line of the table: the names of its columns.
 pub const HEADER: &str = "trigger,camera,node,outcome,block_id,camera_time_ns,host_time_ns,hsu_time_ns,hsu_host_time_ns,time_code,\
      ptp_time_ns,ptp_open_ns,ptp_camera,ptp_scale";
 
-/// Rows by outcome.
+/// The numbers of rows by outcome.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Rows {
-    /// With a frame.
     pub frames: usize,
-    /// With a gap record.
     pub gaps: usize,
     /// With neither, or with a damaged one.
     pub damaged: usize,
@@ -47,7 +46,7 @@ pub fn write(
     ptp: &PtpTime,
 ) -> io::Result<Rows> {
     let mut rows = Rows::default();
-    // All nodes heard the same HSU, and what one of them missed another may have.
+    // All nodes have the reports of the same HSU, and one may have a trigger that another lacks.
     let recordings = session.recordings();
     let lines: Vec<TimeCodeLine> = recordings.iter().map(|one| TimeCodeLine::of(&one.events)).collect();
     writeln!(out, "{HEADER}")?;
@@ -71,17 +70,12 @@ pub fn write(
                 writeln!(out, "{trigger},{camera},,damaged,,,,,,{time_code},{ptp}")?;
                 continue;
             };
-            let word = match &outcome {
-                Ok(Ok(_)) => "frame".to_owned(),
-                Ok(Err(cause)) => GapCause::to_string(cause),
-                Err(_) => "damaged".to_owned(),
+            let (word, count, meta) = match outcome {
+                Ok(Ok(meta)) => ("frame".to_owned(), &mut rows.frames, Some(meta)),
+                Ok(Err(cause)) => (cause.to_string(), &mut rows.gaps, None),
+                Err(_) => ("damaged".to_owned(), &mut rows.damaged, None),
             };
-            *match &outcome {
-                Ok(Ok(_)) => &mut rows.frames,
-                Ok(Err(_)) => &mut rows.gaps,
-                Err(_) => &mut rows.damaged,
-            } += 1;
-            let meta: Option<FrameMeta> = outcome.ok().and_then(Result::ok);
+            *count += 1;
             let frame = |number: fn(&FrameMeta) -> u64| field(meta.as_ref().map(number));
             let hsu = recording.triggers.get(&trigger);
             writeln!(

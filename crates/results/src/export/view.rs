@@ -5,12 +5,10 @@
 
 use crate::data::Cloud;
 
-/// A picture, RGB, row-major.
+/// A picture of 8-bit RGB pixels, row by row.
 #[derive(Debug)]
 pub struct Picture {
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// `3 * width * height` bytes.
     pub rgb: Vec<u8>,
@@ -19,9 +17,9 @@ pub struct Picture {
 /// How a cloud is drawn.
 #[derive(Debug, Clone, Copy)]
 pub struct Style {
-    /// Columns of one side.
+    /// Width of the picture of one side, px.
     pub width: usize,
-    /// Rows.
+    /// Height of the picture, px.
     pub height: usize,
     /// Colour by camera instead of grey.
     pub by_camera: bool,
@@ -66,18 +64,10 @@ impl Frame {
     }
 }
 
-/// Draws a cloud as seen from `azimuth_deg` (0: from +x, 90: from +y).
-pub fn draw(cloud: &Cloud, azimuth_deg: f64, style: Style) -> Picture {
-    let mut picture = blank(style.width, style.height);
-    if let Some(frame) = Frame::around(cloud) {
-        draw_side(&mut picture, cloud, frame, azimuth_deg, style, 0);
-    }
-    picture
-}
-
-/// Draws `sides` views side by side, evenly around the cloud, the first from `azimuth_deg`.
+/// Draws `sides` views side by side, evenly around the cloud, the first from `azimuth_deg` (0: from +x, 90: from +y).
 pub fn draw_sides(cloud: &Cloud, azimuth_deg: f64, sides: usize, style: Style) -> Picture {
-    let mut picture = blank(style.width * sides, style.height);
+    let (width, height) = (style.width * sides, style.height);
+    let mut picture = Picture { width, height, rgb: BACKGROUND.repeat(width * height) };
     if let Some(frame) = Frame::around(cloud) {
         for side in 0..sides {
             let azimuth = azimuth_deg + 360.0 * side as f64 / sides as f64;
@@ -85,10 +75,6 @@ pub fn draw_sides(cloud: &Cloud, azimuth_deg: f64, sides: usize, style: Style) -
         }
     }
     picture
-}
-
-fn blank(width: usize, height: usize) -> Picture {
-    Picture { width, height, rgb: BACKGROUND.repeat(width * height) }
 }
 
 fn draw_side(
@@ -139,7 +125,7 @@ fn draw_side(
 
 #[cfg(test)]
 mod tests {
-    use super::{Style, draw, draw_sides};
+    use super::{Style, draw_sides};
     use crate::data::Cloud;
 
     fn sphere() -> Cloud {
@@ -163,7 +149,7 @@ mod tests {
         let lit = |picture: &super::Picture| {
             picture.rgb.chunks(3).filter(|x| x[0] != super::BACKGROUND[0]).count() as f64
         };
-        let one = lit(&draw(&sphere(), 37.0, style));
+        let one = lit(&draw_sides(&sphere(), 37.0, 1, style));
         // The frame holds the cloud's diagonal.
         let radius = 50.0 * 0.5 / (0.5 * 2f64.sqrt() * 0.8 * 1.06);
         assert!((one / (std::f64::consts::PI * radius * radius) - 1.0).abs() < 0.1, "{one}");
@@ -176,9 +162,9 @@ mod tests {
     fn an_empty_cloud_or_nan_is_a_blank_picture() {
         let style = Style { width: 10, height: 10, by_camera: true };
         let mut cloud = Cloud::default();
-        assert_eq!(draw(&cloud, 0.0, style).rgb.len(), 300);
+        assert_eq!(draw_sides(&cloud, 0.0, 1, style).rgb.len(), 300);
         cloud.position_m.push([f32::NAN; 3]);
         cloud.normal.push([f32::NAN; 3]);
-        assert_eq!(draw(&cloud, 0.0, style).rgb, super::BACKGROUND.repeat(100));
+        assert_eq!(draw_sides(&cloud, 0.0, 1, style).rgb, super::BACKGROUND.repeat(100));
     }
 }

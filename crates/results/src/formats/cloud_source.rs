@@ -4,7 +4,9 @@
 
 use super::ply;
 use crate::data::Cloud;
+use crate::merge::{self, LeftOut, Rule, View, Viewpoint};
 use std::collections::{BTreeMap, BTreeSet};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -19,17 +21,48 @@ pub trait CloudSource: Sync {
     /// The triggers that there are, with the places in [`Self::cameras`] of the cameras that have a cloud.
     fn triggers(&self) -> &BTreeMap<u64, Vec<usize>>;
 
-    /// The clouds of these cameras (places in [`Self::cameras`]) at a trigger. An error says which file is damaged, or
-    /// missing.
+    /// The clouds of these cameras (places in [`Self::cameras`]) at a trigger. An error states which file is damaged,
+    /// or missing.
     fn clouds(&self, trigger: u64, cameras: &[usize]) -> Result<Vec<Commented>, String>;
 
-    /// When the latest of these clouds was made, as its file says.
+    /// When the latest of these files was written.
     fn modified(&self, trigger: u64, cameras: &[usize]) -> Option<SystemTime>;
 
     /// When the trigger was, ns, where that is known.
     fn time_ns(&self, _trigger: u64) -> Option<u64> {
         None
     }
+}
+
+/// Calls `then` with the views of directional clouds for [`merge`] and what their merged cloud lacks; `numbers`:
+/// those of their cameras in merged clouds.
+fn with_views<T>(
+    clouds: &[Commented],
+    numbers: impl Iterator<Item = u8>,
+    then: impl FnOnce(&[View<'_>], LeftOut) -> T,
+) -> T {
+    let from: Vec<Option<Viewpoint>> = clouds.iter().map(|(comments, _)| Viewpoint::of(comments)).collect();
+    let views = clouds.iter().zip(&from).zip(numbers);
+    let views = views.map(|(((_, cloud), from), camera)| View { camera, cloud, from: from.as_ref() });
+    let views: Vec<View<'_>> = views.collect();
+    let left_out = merge::left_out(&views, Rule::default());
+    then(&views, left_out)
+}
+
+/// The merged cloud of directional ones, by the rule of [`merge`], and what it lacks; number and name of each camera.
+pub fn merged_cloud(clouds: &[Commented], cameras: &[(u8, String)]) -> (Cloud, LeftOut) {
+    let numbers = cameras.iter().map(|(number, _)| *number);
+    with_views(clouds, numbers, |views, left_out| (merge::merged(views, &left_out), left_out))
+}
+
+/// Writes the merged cloud of directional ones with these comments and what it lacks; the number of its points.
+pub fn save_merged(
+    path: &Path,
+    clouds: &[Commented],
+    numbers: impl Iterator<Item = u8>,
+    comments: Vec<String>,
+) -> io::Result<usize> {
+    with_views(clouds, numbers, |views, left_out| merge::save(path, views, &left_out, comments))
 }
 
 /// What `reconstruct` wrote: `clouds/CAMERA_INDEX.ply`, or only `merged/INDEX.ply`.
@@ -47,8 +80,7 @@ impl PlyDirectory {
         let mut found: BTreeMap<u64, BTreeSet<String>> = BTreeMap::new();
         let mut names: BTreeSet<String> = BTreeSet::new();
         for stem in stems(&directory.join("clouds")) {
-            let named = stem.rsplit_once('_').and_then(|(camera, index)| Some((camera, index.parse().ok()?)));
-            let Some((camera, trigger)) = named else { continue };
+            let Some((trigger, Some(camera))) = named(&stem) else { continue };
             names.insert(camera.to_owned());
             found.entry(trigger).or_default().insert(camera.to_owned());
         }
@@ -60,7 +92,7 @@ impl PlyDirectory {
             Some(path) => stated_cameras(&path)?,
             None => Vec::new(),
         };
-        // Without a merged cloud nobody has numbered them.
+        // Without a merged cloud they have no numbers yet.
         for name in names {
             if !cameras.iter().any(|(_, known)| *known == name) {
                 let free =
@@ -85,7 +117,8 @@ impl PlyDirectory {
         };
         if triggers.is_empty() {
             return Err(format!(
-                "{}: expected clouds/CAMERA_INDEX.ply or merged/INDEX.ply as `fourdbody reconstruct` writes them, found none",
+                "{}: expected clouds/CAMERA_INDEX.ply or merged/INDEX.ply as `fourdbody reconstruct` writes \
+                 them, found none",
                 directory.display()
             ));
         }
@@ -111,6 +144,15 @@ fn stems(directory: &Path) -> Vec<String> {
     let mut stems: Vec<String> = entries.flatten().filter_map(stem).collect();
     stems.sort();
     stems
+}
+
+/// Trigger and camera by a file's name: `CAMERA_TRIGGER`, or `TRIGGER` of a merged cloud.
+pub(crate) fn named(stem: &str) -> Option<(u64, Option<&str>)> {
+    if let Ok(trigger) = stem.parse() {
+        return Some((trigger, None));
+    }
+    let (camera, index) = stem.rsplit_once('_')?;
+    Some((index.parse().ok()?, Some(camera)))
 }
 
 fn merged_path(directory: &Path, trigger: u64) -> PathBuf {

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The formats that points and meshes are exported to.
 
+#[cfg(feature = "e57")]
+use super::e57;
 use super::shape::Shape;
-use super::{e57, glb, pcd, ply, text};
+use super::{glb, pcd, ply, text};
 use crate::base::write_whole;
 use std::io;
 use std::path::Path;
@@ -12,25 +14,19 @@ use std::path::Path;
 pub enum Format {
     /// PLY, binary: the layout of the command line's contract.
     Ply,
-    /// PLY as text.
+    /// PLY as text, for programs that read no binary files.
     PlyAscii,
     /// PCD of the Point Cloud Library, binary.
     Pcd,
-    /// Columns of text.
     Xyz,
     /// E57, a scan a camera.
+    #[cfg(feature = "e57")]
     E57,
-    /// glTF 2.0, binary.
     Glb,
-    /// Wavefront OBJ.
     Obj,
 }
 
 impl Format {
-    /// All of them.
-    pub const ALL: [Self; 7] =
-        [Self::Ply, Self::PlyAscii, Self::Pcd, Self::Xyz, Self::E57, Self::Glb, Self::Obj];
-
     /// How files of it are called behind the last dot.
     pub fn extension(self) -> &'static str {
         match self {
@@ -39,6 +35,7 @@ impl Format {
             Self::PlyAscii => "ascii.ply",
             Self::Pcd => "pcd",
             Self::Xyz => "xyz",
+            #[cfg(feature = "e57")]
             Self::E57 => "e57",
             Self::Glb => "glb",
             Self::Obj => "obj",
@@ -63,6 +60,7 @@ impl Format {
             Self::PlyAscii => text::write_ply_ascii(file, shape),
             Self::Pcd => pcd::write(file, shape),
             Self::Xyz => text::write_xyz(file, shape),
+            #[cfg(feature = "e57")]
             Self::E57 => e57::write(file, shape),
             Self::Glb => glb::write(file, shape),
             Self::Obj => text::write_obj(file, shape),

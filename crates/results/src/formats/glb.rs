@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! glTF 2.0 in its binary form (GLB): points, or a triangle mesh, in one interleaved buffer.
 //!
-//! The numbers are those of the world frame, whose z is up; glTF's y is up, so that the node that holds the shape turns
-//! it. Beside `POSITION` and `NORMAL` points have `COLOR_0` (the intensity as a grey, for viewers), `_INTENSITY` (float),
-//! and where they are known `_PIXEL` (u, v) and `_CAMERA`.
+//! The numbers are those of the world frame, whose z is up; glTF's y is up, so that the node that holds the shape
+//! turns it. Beside `POSITION` and `NORMAL` points have `COLOR_0` (the intensity as a grey, for viewers),
+//! `_INTENSITY` (float), and where they are known `_PIXEL` (u, v) and `_CAMERA`.
 
 use super::shape::Shape;
 use serde_json::{Value, json};
@@ -12,7 +12,7 @@ use std::io::{self, BufWriter, Write};
 /// Half the square root of two: the quaternion that turns z up into y up.
 const HALF_ROOT: f64 = std::f64::consts::FRAC_1_SQRT_2;
 
-// Numbers of the standard.
+// Component types, buffer targets and primitive modes, as glTF 2.0 numbers them.
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
 const UNSIGNED_SHORT: u32 = 5123;
@@ -25,7 +25,7 @@ const TRIANGLES: u32 = 4;
 /// Bytes of a vertex: position, normal, intensity, colour, pixel, camera and three of padding.
 const STRIDE: usize = 12 + 12 + 4 + 4 + 4 + 4;
 
-/// Writes GLB. An error where the buffer would be longer than the format can say (4 GiB).
+/// Writes GLB. An error where the buffer would be longer than the format can state (4 GiB).
 pub(crate) fn write(out: impl Write, shape: &Shape<'_>) -> io::Result<()> {
     let vertices = shape.cloud.len() * STRIDE;
     let length = vertices + 12 * shape.triangles.len();

@@ -4,6 +4,7 @@
 //! Nothing here knows where clouds come from: they come through [`CloudSource`].
 
 mod cloud_source;
+#[cfg(feature = "e57")]
 mod e57;
 mod format;
 mod glb;
@@ -13,7 +14,10 @@ pub mod sequence;
 mod shape;
 mod text;
 
-pub use cloud_source::{CloudSource, Commented, PlyDirectory};
+pub(crate) use cloud_source::named;
+pub use cloud_source::{CloudSource, Commented, PlyDirectory, merged_cloud, save_merged};
 pub use format::Format;
-pub use fourdbody_core::formats::{npz, phase_file, ply};
+#[cfg(feature = "npz")]
+pub use fourdbody_core::formats::npz;
+pub use fourdbody_core::formats::{phase_file, ply};
 pub use shape::Shape;

@@ -4,7 +4,7 @@
 use super::{ClockFit, Exchange, Judged};
 use proptest::prelude::{ProptestConfig, any, prop_assert, prop_assert_eq, proptest};
 
-/// xorshift64*.
+/// Pseudo-random numbers by xorshift64*, so that the tests are repeatable.
 struct Random(u64);
 
 impl Random {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whose calibration it is and where it is valid: what `calibration.json` states beside the geometry, and whether it fits
-//! a recording.
+//! Whose calibration it is and where it is valid: what `calibration.json` states beside the geometry, and whether it
+//! fits a recording.
 
 use super::Calibration;
 use crate::base::ids::{CameraId, HeadId};
@@ -14,7 +14,6 @@ use serde::{Deserialize, Serialize};
 pub struct Identity {
     /// SHA-256 of the rig file's cameras, projectors, nominal geometry and pattern.
     pub rig_sha256: String,
-    /// The board's name.
     pub board: String,
     /// SHA-256 of the board's circles.
     pub board_sha256: String,
@@ -27,12 +26,13 @@ pub struct Identity {
     pub conventions: String,
 }
 
-/// What `fourdbody import` states for a camera: no device.
+/// The device that `fourdbody import` states for a camera: none.
 const IMPORTED: &str = "imported images";
 
-/// What the numbers in the file mean.
+/// Units and conventions of the numbers in the file, for readers without this software.
 pub const CONVENTIONS: &str = "lengths in metres, angles in radians, lenses in pixels (integers at pixel centres, \
-    u = column); distortion = [k1, k2, p1, p2, k3] (Brown-Conrady); world_from_device takes device coordinates (x along \
+    u = column); distortion = [k1, k2, p1, p2, k3] (Brown-Conrady); world_from_device takes device \
+    coordinates (x along \
     columns, y along rows, z forward) to the world; names ending in _mm are millimetres, in _px pixels";
 
 /// Where the board was seen: the lenses are known there, and nowhere else.
@@ -51,9 +51,7 @@ pub struct ValidVolume {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct HeadVolume {
-    /// The head.
     pub head: HeadId,
-    /// Its box.
     pub extent: Extent,
 }
 
@@ -61,9 +59,9 @@ pub struct HeadVolume {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Extent {
-    /// Lower corner, m.
+    /// The corner with the least coordinates, world, m.
     pub min_m: [f64; 3],
-    /// Upper corner, m.
+    /// The corner with the largest coordinates, world, m.
     pub max_m: [f64; 3],
 }
 
@@ -152,7 +150,8 @@ impl Calibration {
             return Ok(());
         }
         Err(format!(
-            "the calibration of rig {:?} does not fit the recording:\n  {}\nUse the calibration of this rig and these cameras, or calibrate again",
+            "the calibration of rig {:?} does not fit the recording:\n  {}\nUse the calibration of this rig \
+             and these cameras, or calibrate again",
             self.rig,
             problems.join("\n  ")
         ))

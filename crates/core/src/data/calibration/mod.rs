@@ -14,7 +14,7 @@ pub use projector::{PanelRows, Response};
 pub use world::World;
 
 use crate::base::ids::{CameraId, HeadId};
-use crate::base::{json, regular, write_whole};
+use crate::base::{FileError, json, regular, write_whole};
 use crate::config::{Channel, Rig};
 use crate::geometry::Device;
 use crate::geometry::pattern::Pattern;
@@ -22,15 +22,14 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::io::Write;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// One calibrated camera.
+/// One camera with its calibrated lens and pose.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibratedCamera {
     /// Its name in the rig.
     pub id: CameraId,
-    /// Its geometry.
     pub device: Device,
 }
 
@@ -40,19 +39,19 @@ pub struct CalibratedCamera {
 pub struct CalibratedHead {
     /// Its name in the rig.
     pub id: HeadId,
-    /// Its colour channel.
     pub channel: Channel,
     /// The projector as an inverse camera.
     pub projector: Device,
-    /// Which rows of the panel the rows of this geometry are; `None`: not known. Fringes tell nothing of them, and only the
-    /// marker's place along itself needs them ([`crate::reconstruct::marker::epipolar_check`]).
+    /// Which rows of the panel the rows of this geometry are; `None`: not known. Fringes do not depend on them, and
+    /// only the marker's place along itself needs them ([`crate::reconstruct::marker::epipolar_check`]).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rows: Option<PanelRows>,
-    /// Its cameras.
     pub cameras: Vec<CalibratedCamera>,
 }
 
-/// A whole calibration.
+/// A whole calibration, as `calibration.json` holds it. `fourdbody calibrate` makes it from photographs of the board,
+/// or [`Self::nominal`] from a rig file; every reconstruction reads it, and a copy stays beside the results for as
+/// long as these exist. It is checked as a whole when it is read: what exists of it can be used.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
@@ -85,9 +84,7 @@ pub struct Calibration {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Quality {
-    /// The board's name.
     pub board: String,
-    /// Per camera.
     pub cameras: Vec<CameraResiduals>,
     /// Per head: RMS distance between the panel column that the phase names and the one that the geometry names, px.
     pub projector_rms_px: Vec<(HeadId, f64)>,
@@ -97,10 +94,11 @@ pub struct Quality {
     pub loop_error_mm: Option<f64>,
     /// Standard deviations of the estimates.
     pub uncertainties: Vec<DeviceUncertainty>,
-    /// Per head, what its projector makes of panel values; heads with too little light to tell are missing.
+    /// Per head, what its projector makes of panel values; heads with too little light for it are missing.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub responses: Vec<(HeadId, Response)>,
-    /// How its world was chosen; `None` in files of earlier versions, whose world is the rig file's pose of the first camera.
+    /// How its world was chosen; `None` in files of earlier versions, whose world is the rig file's pose of the first
+    /// camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub world: Option<World>,
 }
@@ -109,11 +107,10 @@ pub struct Quality {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraResiduals {
-    /// The camera.
     pub camera: CameraId,
     /// Positions of the board that it saw.
     pub positions: usize,
-    /// Circles in them.
+    /// Circles in all of these positions together.
     pub circles: usize,
     /// RMS distance along one axis, px.
     pub circles_rms_px: f64,
@@ -125,7 +122,7 @@ pub struct CameraResiduals {
 pub struct HeadLink {
     /// Their places in the rig.
     pub heads: [usize; 2],
-    /// Positions that both saw.
+    /// Positions of the board that both heads saw.
     pub positions: usize,
     /// RMS distance of the board's corners, mm.
     pub rms_mm: f64,
@@ -142,37 +139,18 @@ pub struct DeviceUncertainty {
     pub sigma: std::collections::BTreeMap<String, f64>,
 }
 
-/// Why a calibration could not be used.
-#[derive(Debug, thiserror::Error)]
-pub enum CalibrationError {
-    /// The file could not be read or written.
-    #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The file is not a calibration that this version understands, or is damaged.
-    #[error("{path}: {reason}; expected a calibration.json as `fourdbody calibrate` writes it")]
-    Invalid {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        reason: String,
-    },
-}
-
-/// Pixels along a side of a camera or a panel, as the rig file has them at most.
+/// The most pixels along a side of a camera or a panel, as in the rig file.
 const SIDE_MAX: usize = 16_384;
-/// Cameras that a merged cloud can name.
+/// The most cameras that a merged cloud can name by a byte.
 const CAMERAS_MAX: usize = 255;
-/// Pixels of all cameras: each has tables of a byte a pixel.
+/// The most pixels of all cameras together: tables take at least a byte for each.
 const PIXELS_MAX: usize = 1 << 30;
 
+/// The value of `format` in every calibration file.
 const FORMAT: &str = "fourdbody-calibration";
+/// The version that is written: 3 has the rows of the panel.
 const VERSION: u32 = 3;
-/// Version 1 has no identity, no valid volume and no responses, version 2 no rows.
+/// The oldest version that is read: 1 has no identity, no valid volume and no responses, 2 no rows.
 const OLDEST: u32 = 1;
 
 impl Calibration {
@@ -226,10 +204,12 @@ impl Calibration {
     }
 
     /// Reads and checks a calibration file.
-    pub fn load(path: &Path) -> Result<Self, CalibrationError> {
-        let bytes = regular::read(path, regular::STATEMENT_BYTES)
-            .map_err(|source| CalibrationError::Io { path: path.to_owned(), source })?;
-        Self::parse(&bytes).map_err(|reason| CalibrationError::Invalid { path: path.to_owned(), reason })
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        let bytes = regular::read(path, regular::STATEMENT_BYTES).map_err(FileError::of(path))?;
+        Self::parse(&bytes).map_err(|reason| {
+            let expected = "expected a calibration.json as `fourdbody calibrate` writes it";
+            FileError::of(path)(format!("{reason}; {expected}"))
+        })
     }
 
     /// Checks the bytes of a calibration file.
@@ -239,7 +219,7 @@ impl Calibration {
         let object = value.as_object_mut().ok_or("not a JSON object")?;
         let stated = object.remove("sha256").ok_or("no sha256")?;
         let found = sha256(&value);
-        // A version of the future may have other fields: say so before they are missed.
+        // A later version may have other fields: that is reported before missing fields are.
         if let Some(version) = value["version"].as_u64().filter(|version| *version > u64::from(VERSION)) {
             return Err(format!(
                 "version {version}, expected at most {VERSION}: written by a newer fourdbody"
@@ -260,20 +240,19 @@ impl Calibration {
     }
 
     /// Writes the file through a temporary neighbour, so that it is never half there.
-    pub fn save(&self, path: &Path) -> Result<(), CalibrationError> {
-        let io_error = |source| CalibrationError::Io { path: path.to_owned(), source };
-        let text = self.text().map_err(|e| io_error(std::io::Error::other(e)))?;
-        write_whole(path, |file| file.write_all(text.as_bytes())).map_err(io_error)
+    pub fn save(&self, path: &Path) -> Result<(), FileError> {
+        let text = self.text().map_err(FileError::of(path))?;
+        write_whole(path, |file| file.write_all(text.as_bytes())).map_err(FileError::of(path))
     }
 
-    /// What the file holds.
+    /// The text of the calibration's file, with its checksum.
     pub fn text(&self) -> Result<String, serde_json::Error> {
         let mut value = serde_json::to_value(self)?;
         value["sha256"] = sha256(&value).into();
         Ok(serde_json::to_string_pretty(&value)? + "\n")
     }
 
-    /// Values that would make every later step meaningless.
+    /// Refuses values that would make every later step meaningless.
     fn check(&self) -> Result<(), String> {
         let mut ids = std::collections::BTreeSet::new();
         for (head, camera) in self.cameras() {
@@ -283,7 +262,7 @@ impl Calibration {
             for (what, device) in [("camera", &camera.device), ("projector", &head.projector)] {
                 let lens = &device.lens;
                 let numbers = [lens.fx, lens.fy, lens.cx, lens.cy];
-                // More has no rig, and tables of what nobody has would fill the memory.
+                // No rig has more, and tables of a false size would fill the memory.
                 let sized = [device.width, device.height].iter().all(|side| (1..=SIDE_MAX).contains(side));
                 let finite = numbers.iter().chain(&lens.distortion).all(|x| x.is_finite());
                 if !sized {

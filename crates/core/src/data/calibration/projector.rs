@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PanelRows {
-    /// What the geometry's row has too much: px, px per px, and px m (over the distance).
+    /// What is subtracted from the geometry's row: an offset, px; a share of the row; and px m, over the distance.
     pub excess: [f64; 3],
-    /// RMS of what is left of it on the board, px.
+    /// RMS of the remaining differences on the board, px.
     pub rms_px: f64,
 }
 
@@ -19,7 +19,7 @@ impl PanelRows {
         Self { excess: [0.0; 3], rms_px: 0.0 }
     }
 
-    /// Whether all are numbers.
+    /// Whether all of its values are finite numbers.
     pub fn is_finite(&self) -> bool {
         self.excess.iter().all(|x| x.is_finite()) && self.rms_px.is_finite()
     }
@@ -31,16 +31,16 @@ impl PanelRows {
     }
 }
 
-/// A projector's response.
+/// How a projector turns panel values into light.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Response {
     /// Exponent from panel value to light.
     pub gamma: f64,
-    /// Standard deviation of it.
+    /// Standard deviation of that exponent.
     pub sigma: f64,
     /// Amplitude of the second harmonic of what the cameras see, relative to the first.
     pub second_harmonic: f64,
-    /// The third likewise.
+    /// Amplitude of the third harmonic, relative to the first.
     pub third_harmonic: f64,
 }

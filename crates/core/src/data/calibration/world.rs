@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct World {
-    /// Cameras that were fitted.
+    /// The number of cameras that were fitted to the rig file.
     pub cameras: usize,
     /// Root mean square over them of the distance from the rig file's place, mm.
     pub places_rms_mm: f64,
     /// The same of the angle to the rig file's attitude, degrees.
     pub attitudes_rms_deg: f64,
-    /// Positions of the board that say what is vertical; empty: the fit alone does.
+    /// Positions of the board that define the vertical; empty: the fit alone does.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub vertical_positions: Vec<usize>,
     /// How far they turned the world away from the fit, degrees.
@@ -22,7 +22,7 @@ pub struct World {
 }
 
 impl World {
-    /// For people.
+    /// A line of a report for people.
     pub fn line(&self) -> String {
         let list: Vec<String> = self.vertical_positions.iter().map(ToString::to_string).collect();
         let vertical = match list.len() {

@@ -20,7 +20,7 @@ use super::error::HsuError;
 use super::link::HsuTimeouts;
 use super::unit::Hsu;
 use crate::base::ids::{CameraId, NodeId};
-use crate::config::{ActionConfig, NodeConfig};
+use crate::config::{ACTION_COMMANDS, ActionConfig, NodeConfig};
 use crate::network::ActionKeys;
 use std::net::Ipv4Addr;
 use std::time::Duration;
@@ -62,7 +62,7 @@ impl ActionSetup {
 
     /// Starts a unit in this process and greets it as this node; it ends with the link.
     pub(super) fn connect(&self, role: &NodeId, timeouts: &HsuTimeouts) -> Result<Hsu, HsuError> {
-        let device = "action commands".to_owned();
+        let device = ACTION_COMMANDS.to_owned();
         let (reader, writer) = engine::start(self)
             .map_err(|error| HsuError::Io { device: device.clone(), cause: error.to_string() })?;
         Hsu::over(reader, writer, device, role, timeouts)

@@ -1,15 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What of a session's frames is finished already: made of the same frames, with the same parameters.
 
-use super::{Camera, Format, Job, cameras_comment};
+use super::{Camera, Job, cameras_comment};
 use crate::base::ids::TriggerIndex;
+use crate::batch::files::stated;
+use crate::batch::plan::Format;
 use crate::batch::summary::FrameSummary;
 use crate::data::Frame;
-use crate::formats::{phase_file, ply};
+use crate::formats::ply;
 
 impl Job<'_> {
-    /// What became of a trigger's frames, where all of them are finished and were made of the frames that the source has; and the
-    /// comment that tells these.
+    /// The outcomes of a trigger's frames, where all of them are finished and were made of the frames that the source
+    /// has; and the comment that names these.
     pub(super) fn finished_frames(&self, trigger: u64) -> Option<(Vec<FrameSummary>, String)> {
         let found = self.heads.iter().flatten().map(|camera| self.finished_frame(camera, trigger));
         let (frames, stated): (Vec<_>, Vec<_>) = found.collect::<Option<Vec<_>>>()?.into_iter().unzip();
@@ -18,8 +20,8 @@ impl Job<'_> {
         stated.iter().flatten().all(|stated| *stated == expected).then_some((frames, expected))
     }
 
-    /// What became of a frame that is finished: with a cloud made with the same parameters, and the comment that tells the frames
-    /// that it was made of; or missing in the source. `None` where maps are asked for.
+    /// The outcome of a frame that is finished: with a cloud made with the same parameters, and the comment that
+    /// names the frames that it was made of; or missing in the source. `None` with `--dump-maps`.
     pub(super) fn finished_frame(
         &self,
         camera: &Camera,
@@ -28,20 +30,9 @@ impl Job<'_> {
         if self.plan.maps.is_some() || self.plan.discard {
             return None;
         }
-        let stated = |format: &Format| {
-            let path = self.frame_path(camera, trigger, *format);
-            match format {
-                Format::Ply => ply::load_whole_header(&path).ok(),
-                Format::Phase => phase_file::load_statement(&path).ok().map(|stored| ply::Header {
-                    points: stored.points,
-                    merged: false,
-                    sigma: false,
-                    comments: stored.comments,
-                }),
-            }
-        };
+        let stated = |format: &Format| stated(&self.plan.out, *format, &camera.id, trigger);
         let headers: Option<Vec<ply::Header>> = self.plan.formats.iter().map(stated).collect();
-        // Cloud and map of a frame say the same.
+        // Cloud and map of a frame state the same.
         let same = |headers: &Vec<ply::Header>| {
             headers
                 .windows(2)

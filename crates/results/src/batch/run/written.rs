@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is written of a frame: its cloud, its phase map, and what both say of where they come from.
+//! What is written of a frame: its cloud, its phase map, and what both state of where they come from.
 
-use super::{Camera, Format, Job, cameras_comment};
+use super::{Camera, Format, Job, cameras_comment, frame_path};
 use crate::batch::dump_maps;
 use crate::batch::summary::FrameSummary;
 use crate::data::Cloud;
@@ -9,6 +9,8 @@ use crate::formats::phase_file::{self, Statement};
 use crate::formats::ply;
 use crate::reconstruct::outcome::{Outcome, Reconstruction};
 use std::borrow::Cow;
+use std::io;
+use std::path::Path;
 
 impl Job<'_> {
     pub(super) fn comments(&self, trigger: u64, frames: &str) -> Vec<String> {
@@ -22,7 +24,7 @@ impl Job<'_> {
         comments
     }
 
-    /// The comments that tell whose trigger it is, and when it was.
+    /// The comments that state session, trigger and time.
     pub(super) fn identity(&self, trigger: u64) -> impl Iterator<Item = String> {
         let time = self.time_ns(trigger).map(|ns| format!("time_ns {ns}"));
         [format!("session {}", self.session), format!("trigger {trigger}")].into_iter().chain(time)
@@ -35,7 +37,7 @@ impl Job<'_> {
         comments
     }
 
-    /// Writes a cloud, and the maps where they are asked for.
+    /// Writes what the plan has of a frame: cloud, phase map, and pictures of its maps.
     pub(super) fn save(
         &self,
         camera: &Camera,
@@ -62,17 +64,18 @@ impl Job<'_> {
         comments.extend(reason.iter().map(|reason| format!("refused {reason}")));
         if !self.plan.discard {
             for &format in &self.plan.formats {
-                match format {
-                    Format::Ply => self.write_cloud(camera, trigger, &result.cloud, &comments)?,
+                let path = frame_path(&self.plan.out, format, id, trigger);
+                let saved = match format {
+                    Format::Ply => ply::save(&path, &result.cloud, &comments),
                     Format::Phase => {
                         let comments = [comments.clone(), self.merged_comments(trigger, frames)];
-                        self.write_map(camera, trigger, &result, comments)?;
+                        self.write_map(&path, camera, trigger, &result, comments)
                     }
-                }
+                };
+                saved.map_err(|e| format!("{}: {e}", path.display()))?;
             }
         }
-        let mut timings = self.timings.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        timings.add(&result.stages);
+        self.timings().add(&result.stages);
         let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
         let (camera, outcome) = (id.clone(), outcome.into());
         let summary = FrameSummary { camera, outcome, reason, points, unresolved_px, marker_offset_px };
@@ -80,25 +83,14 @@ impl Job<'_> {
         Ok((summary, cloud))
     }
 
-    fn write_cloud(
-        &self,
-        camera: &Camera,
-        trigger: u64,
-        cloud: &Cloud,
-        comments: &[String],
-    ) -> Result<(), String> {
-        let path = self.frame_path(camera, trigger, Format::Ply);
-        ply::save(&path, cloud, comments).map_err(|e| format!("{}: {e}", path.display()))
-    }
-
     fn write_map(
         &self,
+        path: &Path,
         camera: &Camera,
         trigger: u64,
         result: &Reconstruction,
         [comments, merged_comments]: [Vec<String>; 2],
-    ) -> Result<(), String> {
-        let path = self.frame_path(camera, trigger, Format::Phase);
+    ) -> io::Result<()> {
         let mut map = Cow::Borrowed(&result.phase);
         if map.runs.is_empty() {
             // A frame refused before it was looked at closely.
@@ -115,6 +107,6 @@ impl Job<'_> {
             comments,
             merged_comments,
         };
-        phase_file::save(&path, &statement, &map).map_err(|e| format!("{}: {e}", path.display()))
+        phase_file::save(path, &statement, &map)
     }
 }

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Triangles between neighbouring pixels of one camera.
 //!
-//! The paper calls this the natural next form of an organized cloud. Four neighbouring pixels give two triangles, split
-//! along the shorter diagonal; three give one. A triangle is left out where it does not lie on the surface: where an edge
-//! is much longer than the spacing of the cloud (a step in depth, or a surface seen at so grazing an angle that its
-//! points are far apart), or where it faces another way than the normals of its corners (a step that is no longer than
-//! that). Holes stay holes.
+//! The paper calls this the natural next form of an organized cloud. Four neighbouring pixels give two triangles,
+//! split along the shorter diagonal; three give one. A triangle is left out where it does not lie on the surface:
+//! where an edge is much longer than the spacing of the cloud (a step in depth, or a surface seen at so grazing an
+//! angle that its points are far apart), or where it faces another way than the normals of its corners (a step that
+//! is no longer than that). Holes stay holes.
 
 use super::Mesh;
 use crate::data::Cloud;

@@ -10,7 +10,7 @@ pub use poisson::watertight;
 
 use crate::data::Cloud;
 
-/// Which mesh.
+/// Which kind of mesh is made of clouds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum MeshKind {
     /// Triangles between neighbouring pixels of each camera.
@@ -31,10 +31,9 @@ impl std::fmt::Display for MeshKind {
     }
 }
 
-/// Triangles.
+/// Triangles between the points of a cloud.
 #[derive(Debug, Clone, Default)]
 pub struct Mesh {
-    /// The corners.
     pub vertices: Cloud,
     /// Places in the corners, counter-clockwise as seen from outside.
     pub triangles: Vec<[u32; 3]>,
@@ -48,7 +47,10 @@ impl Mesh {
         self.vertices.merge(&other.vertices, camera);
         self.triangles.extend(other.triangles.iter().map(|corners| corners.map(|corner| first + corner)));
     }
+}
 
+#[cfg(test)]
+impl Mesh {
     /// Enclosed volume of a closed mesh, cubic metres (negative if it is inside out).
     pub fn volume_m3(&self) -> f64 {
         let six = self.triangles.iter().map(|&corners| {

@@ -4,12 +4,12 @@
 //!
 //! Sought is the function f that is 1 inside of the body and 0 outside, smoothed: its gradient is that of the points'
 //! normals, and at the points it is one half. That is the minimum of `|grad f + n dS|^2 + a (f - 1/2)^2 dS`, so that
-//! `-lap f + a dS f = div(n dS) + a/2 dS`, here with f = 0 on the border of a box around the cloud, solved by multigrid.
-//! The surface is where f has its mean over the points. It closes holes, and what no camera saw is only its guess: there
-//! the intensity is 0.
+//! `-lap f + a dS f = div(n dS) + a/2 dS`, here with f = 0 on the border of a box around the cloud, solved by
+//! multigrid. The surface is where f has its mean over the points. It closes holes: where no camera has seen the body,
+//! the surface is interpolated, and its intensity is 0.
 //!
-//! The points are first thinned out to one a cell. A plane of area A crosses `A / h^2 (|nx| + |ny| + |nz|)` cells of side
-//! h, which gives each of them its share of the surface.
+//! The points are first thinned out to one a cell. A plane of area A crosses `A / h^2 (|nx| + |ny| + |nz|)` cells of
+//! side h, which gives each of them its share of the surface.
 
 use super::Mesh;
 use super::tetrahedra::{Crossing, Field, surface};
@@ -30,7 +30,9 @@ const MAX_CELLS: usize = 48 << 20;
 /// Boxes are coarsened down to this many cells in their shortest direction.
 const COARSEST: usize = 4;
 
+/// The number of V-cycles that solve the equations.
 const CYCLES: usize = 12;
+/// Steps of Jacobi before and after the correction by each coarser grid.
 const SMOOTHINGS: usize = 3;
 
 /// Weight of a step of the smoothing, which is Jacobi's.
@@ -39,7 +41,7 @@ const DAMPING: f32 = 6.0 / 7.0;
 /// Parts with fewer triangles than this share of the largest one's are left out: closed bubbles around stray points.
 const LEAST_PART: f64 = 0.02;
 
-/// One point a cell.
+/// The mean of the points in one cell.
 #[derive(Debug, Clone, Copy)]
 struct Sample {
     /// In cells, from the corner of the box.
@@ -50,7 +52,7 @@ struct Sample {
     area: f32,
 }
 
-/// The closed surface through a cloud with normals. An error says what is wrong with the cloud or the cells.
+/// The closed surface through a cloud with normals. An error states what is wrong with the cloud or the cells.
 pub fn watertight(cloud: &Cloud, cell_m: f64) -> Result<Mesh, String> {
     let cell = cell_m as f32;
     if !(cell > 0.0) || cloud.normal.len() != cloud.len() {
@@ -77,7 +79,7 @@ pub fn watertight(cloud: &Cloud, cell_m: f64) -> Result<Mesh, String> {
     Ok(Mesh { vertices: vertices(&grid, level, &samples, &crossings), triangles })
 }
 
-/// Where the box is.
+/// The box around the cloud, and the size of its cells.
 struct Grid {
     origin: [f32; 3],
     cell: f32,
@@ -127,14 +129,14 @@ fn thin_out(cloud: &Cloud, cell: f32) -> Result<(Grid, Vec<Sample>), String> {
         .filter_map(|(cell, (sum, count))| {
             let mean = sum.map(|x| (x / f64::from(count)) as f32);
             let length = mean[3].hypot(mean[4]).hypot(mean[5]);
-            // Both sides of something thin say nothing together.
+            // Normals of both sides of a thin part cancel each other.
             let normal = [mean[3] / length, mean[4] / length, mean[5] / length];
             let area = 1.0 / normal.iter().map(|x| x.abs()).sum::<f32>();
             let sample = Sample { place: [mean[0], mean[1], mean[2]], normal, intensity: mean[6], area };
             (length > 0.3).then_some((cell, sample))
         })
         .collect();
-    // The order of a hash map is chance, sums of floats depend on it.
+    // The order of a hash map differs from run to run, and sums of floats depend on it.
     cells.sort_unstable_by_key(|(cell, _)| *cell);
     Ok((grid, cells.into_iter().map(|(_, sample)| sample).collect()))
 }
@@ -198,7 +200,7 @@ impl Level {
         self.size[0] * self.size[1]
     }
 
-    /// Steps of damped Jacobi.
+    /// Takes this many steps of damped Jacobi, each over all nodes.
     fn smooth(&mut self, steps: usize) {
         for _ in 0..steps {
             let (size, slab) = (self.size, self.slab());
@@ -313,7 +315,7 @@ fn add_interpolated(fine: &mut Level, coarse: &Level) {
     });
 }
 
-/// A V-cycle of multigrid.
+/// One V-cycle of multigrid over these levels, the finest first.
 fn cycle(levels: &mut [Level]) {
     let [fine, rest @ ..] = levels else { return };
     let Some(coarse) = rest.first_mut() else {

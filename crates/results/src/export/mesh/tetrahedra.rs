@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The surface where numbers on a grid cross a level, by marching tetrahedra: each cube of eight nodes is cut into six
-//! tetrahedra that share a diagonal, in the same way everywhere, so that the triangles of neighbours meet and every edge
-//! belongs to exactly two of them, as long as the grid's border lies below the level.
+//! The surface where numbers on a grid cross a level, by marching tetrahedra: each cube of eight nodes is cut into
+//! six tetrahedra that share a diagonal, in the same way everywhere, so that the triangles of neighbours meet and
+//! every edge belongs to exactly two of them, as long as the grid's border lies below the level.
 
 use std::collections::HashMap;
 
@@ -25,12 +25,12 @@ pub(super) struct Crossing {
     pub(super) fraction: f32,
 }
 
-/// Points keep this distance from the ends of their edge: those of different edges never meet, so that no triangle is without
-/// area.
+/// Points keep this distance from the ends of their edge: those of different edges never meet, so that no triangle is
+/// without area.
 const NEAREST: f32 = 0.002;
 
-/// Corners of a cube (bits: x, y, z) of its tetrahedra, each oriented so that its last three turn counter-clockwise seen
-/// from outside.
+/// Corners of a cube (bits: x, y, z) of its tetrahedra, each oriented so that its last three turn counter-clockwise
+/// seen from outside.
 const TETRAHEDRA: [[usize; 4]; 6] =
     [[0, 1, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 5, 1, 7], [0, 3, 2, 7], [0, 6, 4, 7]];
 

@@ -1,22 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Sequences of clouds as MCAP, readable by time and by camera without reading all: every message is a chunk of its own,
-//! which the file's summary lists with its time and topic.
+//! Sequences of clouds as MCAP, readable by time and by camera without reading all: every message is a chunk of its
+//! own, which the file's summary lists with its time and topic.
 //!
 //! | topic | message | of |
 //! |---|---|---|
 //! | `/cloud` | `foxglove.PointCloud` | the merged cloud, with the number of its camera at every point |
 //! | `/cloud/CAMERA` | `foxglove.PointCloud` | a directional cloud |
-//! | `/quantized`, `/quantized/CAMERA` | `fourdbody.QuantizedCloud` ([`quantized`]) | the same, rounded, in a tenth of the bytes |
 //!
 //! Existing viewers play `foxglove.PointCloud` in protobuf; its published schema is
 //! <https://github.com/foxglove/foxglove-sdk/blob/main/schemas/proto/foxglove/PointCloud.proto>. The schemas are few
 //! enough to be encoded here by hand.
 
-pub mod quantized;
 mod schema;
 
-use super::ply;
-use crate::data::Cloud;
+use crate::data::{Cloud, NO_CAMERA};
 use crate::record::protobuf::{self, MessageWriter};
 use mcap::records::MessageHeader;
 use std::collections::BTreeMap;
@@ -24,8 +21,14 @@ use std::io::{Seek, Write};
 
 /// Topic of merged clouds; those of the cameras follow behind a slash.
 pub const CLOUD_TOPIC: &str = "/cloud";
-/// Topic of quantized merged clouds; those of the cameras follow behind a slash.
-pub const QUANTIZED_TOPIC: &str = "/quantized";
+
+/// The steps that places may be rounded to, metres: below, floats are as coarse; above, nothing is left of a surface.
+pub const STEPS_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-2;
+
+/// What normals are rounded to where places are: an error of at most 0.2 degrees.
+const NORMAL_STEP: f32 = 1.0 / 256.0;
+/// What intensities are rounded to where places are: a quarter of a grey value.
+const INTENSITY_STEP: f32 = 1.0 / 1024.0;
 
 /// Bytes of one packed point: x, y, z, intensity, nx, ny, nz (float), camera (uint8).
 const STRIDE: usize = 29;
@@ -41,35 +44,46 @@ const FIELDS: [(&str, u32, u64); 8] = [
     ("normal_z", 24, FLOAT32),
     ("camera", 28, UINT8),
 ];
+/// `foxglove.PackedElementField.NumericType` of an unsigned byte.
 const UINT8: u64 = 1;
+/// `foxglove.PackedElementField.NumericType` of a float of 32 bits.
 const FLOAT32: u64 = 7;
 
-/// How clouds are written.
+/// How the clouds of a sequence are rounded and compressed.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Options {
     /// Level of zstd that chunks are compressed with, 1 to 19; 0: they are not.
     pub zstd_level: u32,
-    /// The step that places are rounded to, metres; `None` for the floats themselves.
+    /// Places are rounded to steps of at most this, metres, so that they compress; `None` for the floats themselves.
     pub step_m: Option<f64>,
 }
 
 impl Options {
-    /// Makes the message of a cloud.
+    /// Makes the `foxglove.PointCloud` of a cloud.
     pub fn encode(self, message: &mut Vec<u8>, time_ns: u64, cloud: &Cloud) {
-        match self.step_m {
-            None => pack(message, time_ns, cloud),
-            Some(step_m) => quantized::encode(message, time_ns, cloud, step_m),
+        start_message(message, time_ns, cloud.len());
+        // Whole steps of a power of two leave the last bytes of a float empty.
+        let place_step = self.step_m.map(|step_m| step_m.log2().floor().exp2() as f32);
+        let rounded = |x: f32, step: f32| if place_step.is_some() { (x / step).round() * step } else { x };
+        let points = cloud.position_m.iter().zip(&cloud.normal).zip(&cloud.intensity);
+        for (i, ((position, normal), intensity)) in points.enumerate() {
+            let [x, y, z] = position.map(|x| rounded(x, place_step.unwrap_or(1.0)));
+            let [nx, ny, nz] = normal.map(|x| rounded(x, NORMAL_STEP));
+            for x in [x, y, z, rounded(*intensity, INTENSITY_STEP), nx, ny, nz] {
+                message.extend_from_slice(&x.to_le_bytes());
+            }
+            message.push(cloud.camera.get(i).copied().unwrap_or(NO_CAMERA));
         }
     }
 }
 
-/// Writes a sequence.
+/// Writes a sequence, message by message. Whoever exports makes it around a file that is not complete yet; every cloud
+/// that was pushed is in the file in order of the calls, and [`Self::finish`] makes the file whole.
 pub struct SequenceWriter<W: Write + Seek> {
     writer: mcap::Writer<W>,
     options: Options,
-    channels: BTreeMap<String, u16>,
-    /// Messages so far of each channel.
-    counts: BTreeMap<u16, u32>,
+    /// The channel of each topic, and its messages so far.
+    channels: BTreeMap<String, (u16, u32)>,
     /// The message under construction: its memory is kept.
     message: Vec<u8>,
 }
@@ -77,12 +91,10 @@ pub struct SequenceWriter<W: Write + Seek> {
 impl<W: Write + Seek> SequenceWriter<W> {
     /// Starts a file of merged clouds, without compression: noise does not compress.
     pub fn new(out: W) -> Result<Self, mcap::McapError> {
-        let mut writer = Self::with(out, Options::default())?;
-        writer.channel(None)?;
-        Ok(writer)
+        Self::with(out, Options::default())
     }
 
-    /// Starts a file.
+    /// Starts a file of clouds that are written with these options.
     pub fn with(out: W, options: Options) -> Result<Self, mcap::McapError> {
         let compression = (options.zstd_level > 0).then_some(mcap::Compression::Zstd);
         let writing = mcap::WriteOptions::new()
@@ -90,91 +102,41 @@ impl<W: Write + Seek> SequenceWriter<W> {
             .compression_level(options.zstd_level)
             // The same bytes on every machine.
             .compression_threads(0)
-            // Chunks end where `write` says: behind every message.
+            // `write` ends a chunk behind every message.
             .chunk_size(None)
             .library("fourdbody");
         let writer = writing.create(out)?;
-        let (channels, counts) = (BTreeMap::new(), BTreeMap::new());
-        Ok(Self { writer, options, channels, counts, message: Vec::new() })
-    }
-
-    /// Appends a cloud of all cameras, or of the one that is named. `time_ns` must not go back.
-    pub fn push_of(
-        &mut self,
-        time_ns: u64,
-        camera: Option<&str>,
-        cloud: &Cloud,
-    ) -> Result<(), mcap::McapError> {
-        let mut message = std::mem::take(&mut self.message);
-        self.options.encode(&mut message, time_ns, cloud);
-        let written = self.write(time_ns, camera, &message);
-        self.message = message;
-        written
+        Ok(Self { writer, options, channels: BTreeMap::new(), message: Vec::new() })
     }
 
     /// Appends a merged cloud. `time_ns` must not go back.
     pub fn push(&mut self, time_ns: u64, cloud: &Cloud) -> Result<(), mcap::McapError> {
-        self.push_of(time_ns, None, cloud)
-    }
-
-    /// Appends the merged cloud of a PLY file as it is, without rounding: its points are packed nearly as those of a message
-    /// are.
-    pub fn push_ply(&mut self, time_ns: u64, path: &std::path::Path) -> Result<(), String> {
         let mut message = std::mem::take(&mut self.message);
-        start_message(&mut message, time_ns, 0);
-        let mut started = false;
-        ply::stream(path, |points, bytes, stride| {
-            if !std::mem::replace(&mut started, true) {
-                start_message(&mut message, time_ns, points);
-            }
-            let from = message.len();
-            message.resize(from + bytes.len() / stride * STRIDE, 0);
-            for (to, point) in message[from..].chunks_exact_mut(STRIDE).zip(bytes.chunks_exact(stride)) {
-                to[..STRIDE - 1].copy_from_slice(&point[..STRIDE - 1]);
-                // After the source pixel; without a camera there may be other properties.
-                to[STRIDE - 1] = if (stride - ply::POINT_BYTES) % 4 == 1 {
-                    point[ply::POINT_BYTES]
-                } else {
-                    crate::data::NO_CAMERA
-                };
-            }
-            Ok(())
-        })
-        .map_err(|e| e.to_string())?;
-        let written = self.write(time_ns, None, &message).map_err(|e| e.to_string());
+        self.options.encode(&mut message, time_ns, cloud);
+        let written = self.write(time_ns, None, &message);
         self.message = message;
         written
     }
 
-    /// The channel of the topic, which is announced when it is needed first.
-    fn channel(&mut self, camera: Option<&str>) -> Result<u16, mcap::McapError> {
-        let (base, name, schema) = match self.options.step_m {
-            None => (CLOUD_TOPIC, "foxglove.PointCloud", schema::point_cloud as fn() -> Vec<u8>),
-            Some(_) => {
-                (QUANTIZED_TOPIC, "fourdbody.QuantizedCloud", schema::quantized_cloud as fn() -> Vec<u8>)
-            }
-        };
-        let topic = camera.map_or_else(|| base.to_owned(), |camera| format!("{base}/{camera}"));
-        if let Some(channel) = self.channels.get(&topic) {
-            return Ok(*channel);
-        }
-        let schema = self.writer.add_schema(name, "protobuf", &schema())?;
-        let channel = self.writer.add_channel(schema, &topic, "protobuf", &BTreeMap::new())?;
-        self.channels.insert(topic, channel);
-        Ok(channel)
-    }
-
-    /// Writes an encoded message at its time, on the topic of its camera; `None`: of merged clouds.
+    /// Writes an encoded message at its time, on the topic of its camera; `None`: of merged clouds. A topic is
+    /// announced when it is needed first.
     pub fn write(
         &mut self,
         time_ns: u64,
         camera: Option<&str>,
         message: &[u8],
     ) -> Result<(), mcap::McapError> {
-        let channel_id = self.channel(camera)?;
-        let count = self.counts.entry(channel_id).or_default();
-        let header = MessageHeader { channel_id, sequence: *count, log_time: time_ns, publish_time: time_ns };
-        *count = count.wrapping_add(1);
+        let topic = camera.map_or_else(|| CLOUD_TOPIC.to_owned(), |camera| format!("{CLOUD_TOPIC}/{camera}"));
+        let (channel_id, sequence) = match self.channels.get(&topic) {
+            Some(known) => *known,
+            None => {
+                let (name, descriptors) = ("foxglove.PointCloud", schema::point_cloud());
+                let schema = self.writer.add_schema(name, "protobuf", &descriptors)?;
+                (self.writer.add_channel(schema, &topic, "protobuf", &BTreeMap::new())?, 0)
+            }
+        };
+        self.channels.insert(topic, (channel_id, sequence.wrapping_add(1)));
+        let header = MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
         self.writer.write_to_known_channel(&header, message)?;
         self.writer.flush()
     }
@@ -186,29 +148,13 @@ impl<W: Write + Seek> SequenceWriter<W> {
     }
 }
 
-/// A cloud as `foxglove.PointCloud`.
-fn pack(message: &mut Vec<u8>, time_ns: u64, cloud: &Cloud) {
-    start_message(message, time_ns, cloud.len());
-    let points = cloud.position_m.iter().zip(&cloud.normal).zip(&cloud.intensity);
-    for (i, ((position, normal), intensity)) in points.enumerate() {
-        for x in position.iter().chain([intensity]).chain(normal) {
-            message.extend_from_slice(&x.to_le_bytes());
-        }
-        message.push(cloud.camera.get(i).copied().unwrap_or(crate::data::NO_CAMERA));
-    }
-}
-
-fn timestamp(time_ns: u64) -> MessageWriter {
-    protobuf::timestamp(MessageWriter::default(), time_ns)
-}
-
 /// All of a message but its points.
 fn start_message(out: &mut Vec<u8>, time_ns: u64, points: usize) {
-    let identity = MessageWriter::default()
-        .message(1, MessageWriter::default())
-        .message(2, MessageWriter::default().double(4, 1.0));
+    let identity =
+        MessageWriter::default().message(1, MessageWriter::default()).message(2, MessageWriter::default().double(4, 1.0));
+    let timestamp = protobuf::timestamp(MessageWriter::default(), time_ns);
     let mut head = MessageWriter::default()
-        .message(1, timestamp(time_ns))
+        .message(1, timestamp)
         .bytes(2, b"world")
         .message(3, identity)
         .fixed32(4, STRIDE as u32);
@@ -222,7 +168,7 @@ fn start_message(out: &mut Vec<u8>, time_ns: u64, points: usize) {
 
 #[cfg(test)]
 mod tests {
-    use super::SequenceWriter;
+    use super::{Options, STRIDE, SequenceWriter};
     use crate::data::Cloud;
     use std::io::Cursor;
 
@@ -242,11 +188,6 @@ mod tests {
         let mut writer = SequenceWriter::new(Cursor::new(Vec::new())).expect("memory");
         writer.push(2_000_000_001, &cloud()).expect("memory");
         let bytes = writer.message.clone();
-        // The same from a file.
-        let file = tempfile::NamedTempFile::new().expect("a temporary file");
-        crate::formats::ply::save(file.path(), &cloud(), &[]).expect("writable");
-        writer.push_ply(2_000_000_001, file.path()).expect("intact");
-        assert_eq!(writer.message, bytes);
         // timestamp {1: 2, 2: 1}, frame_id "world", pose {1: {}, 2: {4: 1.0}}, point_stride 29.
         let head = [10, 4, 8, 2, 16, 1, 18, 5, b'w', b'o', b'r', b'l', b'd', 26, 13, 10, 0, 18, 9, 33];
         assert_eq!(&bytes[..head.len()], head);
@@ -257,6 +198,19 @@ mod tests {
         assert_eq!(&bytes[head.len() + stride.len()..][..field.len()], field);
         assert_eq!(bytes[bytes.len() - 31..][..2], [50, 29]);
         assert_eq!(bytes.last(), Some(&6));
+    }
+
+    #[test]
+    fn rounded_places_keep_to_half_a_step_and_have_empty_bytes() {
+        let exact = Cloud { position_m: vec![[1.234_567, -0.765_432, 0.1]], ..cloud() };
+        let mut message = Vec::new();
+        Options { step_m: Some(2e-5), ..Options::default() }.encode(&mut message, 0, &exact);
+        let point = &message[message.len() - STRIDE..];
+        for (k, x) in exact.position_m[0].into_iter().enumerate() {
+            let bytes: [u8; 4] = point[4 * k..4 * k + 4].try_into().expect("four bytes");
+            assert!((f32::from_le_bytes(bytes) - x).abs() <= 1e-5 && bytes[0] & 0x3f == 0, "{x}: {bytes:?}");
+        }
+        assert_eq!(point[STRIDE - 1], 6);
     }
 
     #[test]

@@ -58,18 +58,3 @@ pub(crate) fn point_cloud() -> Vec<u8> {
     ])
 }
 
-/// The `FileDescriptorSet` of `fourdbody.QuantizedCloud`.
-pub(crate) fn quantized_cloud() -> Vec<u8> {
-    let column = describe("QuantizedColumn", &[("name", 1, Kind::Text), ("step", 2, Kind::Double)]);
-    let cloud = describe(
-        "QuantizedCloud",
-        &[
-            ("timestamp", 1, Kind::Message(".google.protobuf.Timestamp")),
-            ("frame_id", 2, Kind::Text),
-            ("points", 3, Kind::Fixed32),
-            ("columns", 4, Kind::Repeated(".fourdbody.QuantizedColumn")),
-            ("data", 5, Kind::Bytes),
-        ],
-    );
-    file_set([file("fourdbody/QuantizedCloud.proto", "fourdbody", &[TIMESTAMP], vec![column, cloud])])
-}
