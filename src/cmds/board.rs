@@ -29,7 +29,7 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let board = Board::load(&args.board)?;
-    let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display()));
+    let fail = |e: std::io::Error| Failure::failed(format!("{}: {e}", args.out.display()));
     std::fs::create_dir_all(&args.out).map_err(fail)?;
     let mut written = Vec::new();
     let files = [("board.svg", artwork::svg(&board)), ("circles.csv", artwork::csv(&board))];

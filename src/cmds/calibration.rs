@@ -109,7 +109,7 @@ enum Unmeasured {
 
 impl Check {
     fn run(&self) -> Result<Exit, Failure> {
-        let calibration = Calibration::load(&self.calibration).map_err(|e| Failure::new(Exit::Usage, e))?;
+        let calibration = Calibration::load(&self.calibration).map_err(Failure::usage)?;
         let calibrated: Vec<CameraId> = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
         let source = open_source(&self.session, &calibrated)?;
         tell_lost(source.lost());
@@ -118,13 +118,13 @@ impl Check {
         if cameras.is_empty() {
             let message =
                 "expected cameras of the calibration in the session, found none; give that of its rig";
-            return Err(Failure::new(Exit::Usage, format!("{}: {message}", self.session.display())));
+            return Err(Failure::usage(format!("{}: {message}", self.session.display())));
         }
         if let Some(stated) = source.statement() {
-            calibration.fits(&cameras, &stated).map_err(|e| Failure::new(Exit::Usage, e))?;
+            calibration.fits(&cameras, &stated).map_err(Failure::usage)?;
         }
         let unwritable = |dir: &Path, e: &std::io::Error| {
-            Failure::new(Exit::Failure, format!("the history in {}: {e}", dir.display()))
+            Failure::failed(format!("the history in {}: {e}", dir.display()))
         };
         let history = self.history.as_ref().map(|dir| History::open(dir).map_err(|e| unwritable(dir, &e)));
         let history = history.transpose()?;
@@ -136,15 +136,14 @@ impl Check {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(self.jobs.unwrap_or(0))
             .build()
-            .map_err(|e| Failure::new(Exit::Failure, e))?;
+            .map_err(Failure::failed)?;
         let measured = pool.install(|| self.measure(&compared));
         if let Some((history, dir)) = history.zip(self.history.as_ref())
             && let Some(checked) = self.checked(&compared, &measured)?
         {
             history.add(checked).map_err(|e| unwritable(dir, &e))?;
         }
-        let told =
-            |message: String| Failure::new(Exit::Corrupt, format!("{}: {message}", self.session.display()));
+        let told = |message: String| Failure::corrupt(format!("{}: {message}", self.session.display()));
         let drift = measured.map_err(|unmeasured| match unmeasured {
             Unmeasured::TooFar(message) | Unmeasured::NotKnown(message) => told(message),
             Unmeasured::Failed(failure) => failure,
@@ -152,7 +151,7 @@ impl Check {
         if let Some(path) = &self.corrected {
             let seen_in = self.session.file_name().unwrap_or(self.session.as_os_str()).to_string_lossy();
             let corrected = drift.corrected(&compared.calibration, &seen_in);
-            corrected.save(path).map_err(|e| Failure::new(Exit::Failure, e))?;
+            corrected.save(path).map_err(Failure::failed)?;
         }
         self.tell(&drift)
     }
@@ -163,7 +162,7 @@ impl Check {
         compared: &Compared,
         measured: &Result<Drift, Unmeasured>,
     ) -> Result<Option<Checked>, Failure> {
-        let failed = |e: String| Failure::new(Exit::Failure, e);
+        let failed = |e: String| Failure::failed(e);
         let identity = compared.source.identity().map_err(failed)?;
         let name = self.session.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let checked = |verdict, said: &str| Checked {
@@ -218,7 +217,7 @@ impl Check {
         let source = compared.source.as_ref();
         let (summary, _) =
             run::run(source, calibration, &plan, |done| progress.at(done as u64, total as u64))
-                .map_err(|e| Unmeasured::Failed(Failure::new(Exit::Failure, e)))?;
+                .map_err(|e| Unmeasured::Failed(Failure::failed(e)))?;
         let found = plan.shard_triggers().map(|trigger| maps(&plan, calibration, trigger));
         let drift = drift::estimate(calibration, found).map_err(|e| {
             let refused = summary.most_refused_for().map(|reason| format!("; frames are refused: {reason}"));
@@ -277,7 +276,7 @@ impl Check {
             self.most_mm,
             named.join("; ")
         );
-        Err(Failure::new(Exit::Corrupt, message))
+        Err(Failure::corrupt(message))
     }
 }
 

@@ -155,15 +155,12 @@ pub fn setup(args: &SetupArgs) -> Result<Exit, Failure> {
         outcome.problems.iter().flat_map(|problem| problem.lines()).map(printable).collect();
     match outcome.problems.is_empty() {
         true => Ok(Exit::Done),
-        false => Err(Failure::new(
-            Exit::Device,
-            format!(
-                "{} problems; mend them, or say what they ask for in {}, and set up again:\n{}",
-                outcome.problems.len(),
-                outcome.file.display(),
-                problems.join("\n")
-            ),
-        )),
+        false => Err(Failure::device(format!(
+            "{} problems; mend them, or say what they ask for in {}, and set up again:\n{}",
+            outcome.problems.len(),
+            outcome.file.display(),
+            problems.join("\n")
+        ))),
     }
 }
 

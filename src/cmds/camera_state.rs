@@ -103,7 +103,7 @@ pub fn dump(args: &DumpArgs) -> Result<Exit, Failure> {
     }
     match failures.is_empty() {
         true => Ok(Exit::Done),
-        false => Err(Failure::new(Exit::Device, failures.join("\n"))),
+        false => Err(Failure::device(failures.join("\n"))),
     }
 }
 
@@ -122,7 +122,7 @@ fn load(path: &Path) -> Result<Dump, Failure> {
         json::from_slice(&text).map_err(|e| {
             let message =
                 format!("{}: expected what `fourdbody cameras dump --json` prints: {e}", path.display());
-            Failure::new(Exit::Corrupt, message)
+            Failure::corrupt(message)
         })?
     } else {
         let session = SessionReader::open_frames(path)?;
@@ -138,7 +138,7 @@ fn load(path: &Path) -> Result<Dump, Failure> {
             "{}: holds no state of a camera; expected a recording of cameras of this version, or a dump",
             path.display()
         );
-        return Err(Failure::new(Exit::Usage, message));
+        return Err(Failure::usage(message));
     }
     Ok(dump)
 }
@@ -160,7 +160,7 @@ pub fn diff(args: &DiffArgs) -> Result<Exit, Failure> {
             args.b.display(),
             list(&b)
         );
-        return Err(Failure::new(Exit::Usage, message));
+        return Err(Failure::usage(message));
     }
     let mut all = Vec::new();
     for (one, other) in names {

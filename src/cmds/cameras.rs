@@ -66,5 +66,5 @@ fn list(_args: &Args) -> Result<Exit, Failure> {
 #[cfg(not(feature = "aravis"))]
 pub(super) fn cannot_see_cameras() -> Failure {
     let message = "this binary was built without the feature `aravis` and cannot see cameras; build it with default features";
-    Failure::new(Exit::Usage, message)
+    Failure::usage(message)
 }

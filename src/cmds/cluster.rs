@@ -113,11 +113,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 fn failed(error: impl std::fmt::Display) -> Failure {
-    Failure::new(Exit::Failure, error)
+    Failure::failed(error)
 }
 
 fn usage(error: impl std::fmt::Display) -> Failure {
-    Failure::new(Exit::Usage, error)
+    Failure::usage(error)
 }
 
 fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {

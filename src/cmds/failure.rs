@@ -23,6 +23,31 @@ impl Failure {
     pub fn new(exit: Exit, message: impl fmt::Display) -> Self {
         Self { exit, message: message.to_string() }
     }
+
+    /// Wrong usage or configuration: exit code 2.
+    pub(super) fn usage(message: impl fmt::Display) -> Self {
+        Self::new(Exit::Usage, message)
+    }
+
+    /// Corrupt data, or a verification that failed: exit code 4.
+    pub(super) fn corrupt(message: impl fmt::Display) -> Self {
+        Self::new(Exit::Corrupt, message)
+    }
+
+    /// A device or a link that failed: exit code 5.
+    pub(super) fn device(message: impl fmt::Display) -> Self {
+        Self::new(Exit::Device, message)
+    }
+
+    /// Any other failure: exit code 1.
+    pub(super) fn failed(message: impl fmt::Display) -> Self {
+        Self::new(Exit::Failure, message)
+    }
+
+    /// A failure of the file system at this path: exit code 1.
+    pub(super) fn at(path: &Path, error: impl fmt::Display) -> Self {
+        Self::failed(format!("{}: {error}", path.display()))
+    }
 }
 
 impl fmt::Display for Failure {

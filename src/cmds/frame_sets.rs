@@ -28,6 +28,6 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let (asked, told) = (std::io::stdin().lock(), std::io::stdout().lock());
     process::serve(&args.result, args.rate_hz, args.points, asked, told)
-        .map_err(|e| Failure::new(Exit::Failure, format!("frame sets cannot be told: {e}")))?;
+        .map_err(|e| Failure::failed(format!("frame sets cannot be told: {e}")))?;
     Ok(Exit::Done)
 }

@@ -55,12 +55,12 @@ const _: () = assert!(INDEX_END == MAX_TRIGGERS);
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let rig = Rig::load(&args.rig)?;
     let rig_text = regular::read_text(&args.rig, regular::TEXT_BYTES)
-        .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
+        .map_err(|e| Failure::usage(format!("{}: {e}", args.rig.display())))?;
     let name = session_name(&args.out)?;
     if args.out.exists() {
         let message =
             format!("{} exists; a session is never overwritten: choose another name", args.out.display());
-        return Err(Failure::new(Exit::Usage, message));
+        return Err(Failure::usage(message));
     }
     let tree = find_images(&rig, &args.images).map_err(|problems| all_problems(&args.images, &problems))?;
     if let Some(left_out) = ImageTree::told(&tree.left_out) {
@@ -74,7 +74,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let session = Import { rig: &rig, rig_text: &rig_text, name: &name, sequences: &sequences, triggers };
     let result = session.write(&partial).and_then(|verdicts| {
         std::fs::rename(&partial, &args.out)
-            .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
+            .map_err(|e| Failure::failed(format!("{}: {e}", args.out.display())))?;
         Ok(verdicts)
     });
     let verdicts = match result {
@@ -102,7 +102,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 
 fn session_name(out: &Path) -> Result<SessionName, Failure> {
     let name = out.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-    SessionName::parse(name).map_err(|e| Failure::new(Exit::Usage, format!("--out {}: {e}", out.display())))
+    SessionName::parse(name).map_err(|e| Failure::usage(format!("--out {}: {e}", out.display())))
 }
 
 /// A hidden neighbour on the same file system.
@@ -115,7 +115,7 @@ fn all_problems(images: &Path, problems: &[String]) -> Failure {
     let count = problems.len();
     let plural = if count == 1 { "" } else { "s" };
     let list = problems.join("\n  ");
-    Failure::new(Exit::Usage, format!("{}: {count} problem{plural}\n  {list}", images.display()))
+    Failure::usage(format!("{}: {count} problem{plural}\n  {list}", images.display()))
 }
 
 /// The images of every camera of the rig, and what lies beside them; or everything that is wrong with their names.
@@ -208,7 +208,7 @@ impl Import<'_> {
         created_ns: u64,
         advance: &dyn Fn(u64),
     ) -> Result<Verdict, Failure> {
-        let failed = |e: RecordError| Failure::new(Exit::Failure, e);
+        let failed = |e: RecordError| Failure::failed(e);
         let cameras: Vec<&RigCamera> = self.rig.cameras_of(node).map(|(_, camera)| camera).collect();
         let header = self.header(node, &cameras, created_ns);
         let mut recording =
@@ -224,11 +224,11 @@ impl Import<'_> {
                 })
                 .collect();
             for (place, image) in images.into_iter().enumerate() {
-                let Some(message) = image.transpose().map_err(|e| Failure::new(Exit::Usage, e))? else {
+                let Some(message) = image.transpose().map_err(Failure::usage)? else {
                     continue;
                 };
                 let envelope = crate::record::parse_envelope(&message);
-                let meta = envelope.map_err(|e| Failure::new(Exit::Failure, e))?.meta;
+                let meta = envelope.map_err(Failure::failed)?.meta;
                 recording.frame(place, &meta, &message).map_err(failed)?;
             }
             for (place, camera) in cameras.iter().enumerate() {

@@ -37,7 +37,7 @@ const READ_PATIENCE: Duration = Duration::from_secs(5);
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let Some(config) = args.config.as_deref().filter(|_| !args.print_openapi) else {
         let text = serde_json::to_string_pretty(&api::description());
-        println!("{}", text.map_err(|e| Failure::new(Exit::Failure, e))?);
+        println!("{}", text.map_err(Failure::failed)?);
         return Ok(Exit::Done);
     };
     let config = NodeConfig::load(config)?;
@@ -48,8 +48,8 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .worker_threads(1)
         .enable_all()
         .build()
-        .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the API's runtime: {e}")))?;
-    let usage = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, e);
+        .map_err(|e| Failure::failed(format!("cannot start the API's runtime: {e}")))?;
+    let usage = |e: &dyn std::fmt::Display| Failure::usage(e);
     let auth = Auth::new(&config.api).map_err(|e| usage(&format!("api.tokens: {e}")))?;
     let listeners = runtime.block_on(Listeners::bind(&config.api)).map_err(|e| usage(&e))?;
     // Before anything is recorded: a recording in progress looks the same.
@@ -58,8 +58,8 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     unfinished.iter().for_each(warn_of);
     let mut signals = runtime
         .block_on(async { StopSignals::watch() })
-        .map_err(|e| Failure::new(Exit::Failure, format!("cannot watch signals: {e}")))?;
-    let driver = NodeThread::start(config.clone(), backend).map_err(|e| Failure::new(Exit::Failure, e))?;
+        .map_err(|e| Failure::failed(format!("cannot watch signals: {e}")))?;
+    let driver = NodeThread::start(config.clone(), backend).map_err(Failure::failed)?;
     driver.status().write().unwrap_or_else(PoisonError::into_inner).interrupted = unfinished;
     let read = api::OutcomeRead::default();
     let handle = NodeHandle {
@@ -71,10 +71,10 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let (listen, socket) =
         (config.api.listen, config.api.socket.as_ref().map(|s| s.path.display().to_string()));
     let notifier = Notifier::start(driver.status(), driver.telemetry())
-        .map_err(|e| Failure::new(Exit::Failure, format!("cannot start a thread: {e}")))?;
+        .map_err(|e| Failure::failed(format!("cannot start a thread: {e}")))?;
     let services = Services::start(&config, driver.commands(), driver.status(), driver.taps())?;
     let shared = Shared::new(config, handle, auth, services, &listeners)
-        .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the audit log's thread: {e}")))?;
+        .map_err(|e| Failure::failed(format!("cannot start the audit log's thread: {e}")))?;
     tracing::info!(listen = listen.map(tracing::field::display), socket, "node is up");
     let quick_looks = shared.services.quick_looks.clone();
     let live = shared.services.live.clone();
@@ -84,12 +84,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     match ended {
         Ended::Orderly(served) => {
             driver.shut_down();
-            let failed = |e| Failure::new(Exit::Failure, format!("the control API failed: {e}"));
+            let failed = |e| Failure::failed(format!("the control API failed: {e}"));
             served.map(|()| Exit::Done).map_err(failed)
         }
         // The driver is not waited for: its recording is left as by a crash.
-        Ended::Forced => Err(Failure::new(
-            Exit::Failure,
+        Ended::Forced => Err(Failure::failed(
             "ended by a second signal; a session in progress is unfinished, see `fourdbody verify`",
         )),
     }
@@ -191,5 +190,5 @@ fn backend() -> Result<Box<dyn crate::camera::CameraBackend>, Failure> {
 #[cfg(not(feature = "aravis"))]
 fn backend() -> Result<Box<dyn crate::camera::CameraBackend>, Failure> {
     let message = "this binary was built without the feature `aravis` and cannot drive cameras; build it with default features";
-    Err(Failure::new(Exit::Usage, message))
+    Err(Failure::usage(message))
 }

@@ -38,7 +38,7 @@ fn parse_gamma(text: &str) -> Result<f64, String> {
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut rig = Rig::load(&args.rig)?;
     rig.pattern.gamma = args.gamma.unwrap_or(rig.pattern.gamma);
-    let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display()));
+    let fail = |e: std::io::Error| Failure::failed(format!("{}: {e}", args.out.display()));
     std::fs::create_dir_all(&args.out).map_err(fail)?;
     let mut files = Vec::new();
     for head in &rig.heads {

@@ -48,7 +48,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         }
         let mut deleted = false;
         if args.delete && judgement.stays.is_empty() {
-            delete(&judgement).map_err(|e| Failure::new(Exit::Corrupt, format!("{session}: {e}")))?;
+            delete(&judgement).map_err(|e| Failure::corrupt(format!("{session}: {e}")))?;
             deleted = true;
         }
         if args.json {

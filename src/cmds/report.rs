@@ -44,13 +44,13 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let report = gather(&args.session, args.clouds.as_deref())?;
     let playing = match &args.clouds {
         Some(clouds) if args.play => {
-            Some(Playing::open(clouds, args.play_mib << 20).map_err(|e| Failure::new(Exit::Corrupt, e))?)
+            Some(Playing::open(clouds, args.play_mib << 20).map_err(Failure::corrupt)?)
         }
         _ => None,
     };
     let page = render(&report, playing.as_ref());
     let bytes = write(&args.out, &page, playing.as_ref())
-        .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
+        .map_err(|e| Failure::failed(format!("{}: {e}", args.out.display())))?;
     if args.json {
         let unreadable: Vec<String> = report.unreadable.iter().map(ToString::to_string).collect();
         let exposure: BTreeMap<String, Option<Exposure>> = exposures(&report).collect();

@@ -71,7 +71,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 fn usage(error: TokenError) -> Failure {
-    Failure::new(Exit::Usage, error)
+    Failure::usage(error)
 }
 
 fn new(path: &Path, role: Role, name: &str, file: &Path, replace: bool) -> Result<Exit, Failure> {
@@ -79,10 +79,10 @@ fn new(path: &Path, role: Role, name: &str, file: &Path, replace: bool) -> Resul
     let known = list.0.iter().position(|token| token.name == name);
     if known.is_some() && !replace {
         let message = format!("{} has a token for {name} already; renew it with --replace", path.display());
-        return Err(Failure::new(Exit::Usage, message));
+        return Err(Failure::usage(message));
     }
-    let secret = random_text()
-        .map_err(|e| Failure::new(Exit::Failure, format!("the system gives no random numbers: {e}")))?;
+    let secret =
+        random_text().map_err(|e| Failure::failed(format!("the system gives no random numbers: {e}")))?;
     let token = Token { name: name.to_owned(), role, hash: SecretHash::of(&secret) };
     match known {
         Some(place) => list.0[place] = token,
@@ -102,7 +102,7 @@ fn revoke(path: &Path, name: &str) -> Result<Exit, Failure> {
     if list.0.len() == before {
         let names: Vec<&str> = list.0.iter().map(|token| token.name.as_str()).collect();
         let message = format!("{} has no token for {name}; it has: {}", path.display(), names.join(", "));
-        return Err(Failure::new(Exit::Usage, message));
+        return Err(Failure::usage(message));
     }
     list.save(path).map_err(usage)?;
     println!("{name}: revoked");

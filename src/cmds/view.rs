@@ -50,13 +50,13 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         let reason = comments.iter().find_map(|comment| comment.strip_prefix("refused "));
         let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
         let path = args.cloud.display();
-        return Err(Failure::new(Exit::Corrupt, format!("{path}: has no points{reason}; nothing is drawn")));
+        return Err(Failure::corrupt(format!("{path}: has no points{reason}; nothing is drawn")));
     }
     let height = usize::from(args.height);
     let style = Style { width: height * 4 / 5, height, by_camera: args.by_camera };
     let picture = draw_sides(&cloud, args.azimuth, usize::from(args.sides), style);
     write_png_rgb(&args.out, picture.width, picture.height, &picture.rgb)
-        .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
+        .map_err(|e| Failure::failed(format!("{}: {e}", args.out.display())))?;
     if args.json {
         println!("{}", serde_json::json!({ "picture": args.out, "points": cloud.len() }));
     } else {
@@ -67,7 +67,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 
 /// The cloud that is asked for, with its comments, and what is missing of it.
 fn load(args: &Args) -> Result<(Commented, Vec<String>), Failure> {
-    let usage = |message: String| Failure::new(Exit::Usage, message);
+    let usage = |message: String| Failure::usage(message);
     if !args.cloud.is_dir() {
         if args.trigger.is_some() {
             return Err(usage("--trigger: is for a directory; this is one file".to_owned()));
@@ -83,11 +83,11 @@ fn load(args: &Args) -> Result<(Commented, Vec<String>), Failure> {
     let amiss = |trigger: u64| clouds.amiss(&(trigger..trigger.saturating_add(1)));
     let (&trigger, place) = place.ok_or_else(|| {
         if let Some(amiss) = args.trigger.map(amiss).filter(|amiss| !amiss.is_empty()) {
-            return Failure::new(Exit::Corrupt, amiss.join("\n"));
+            return Failure::corrupt(amiss.join("\n"));
         }
         let (first, last) = (clouds.merged.keys().next(), clouds.merged.keys().next_back());
         usage(format!("--trigger: {} has merged clouds from {first:?} to {last:?}", args.cloud.display()))
     })?;
-    let cloud = clouds.load(place).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+    let cloud = clouds.load(place).map_err(Failure::corrupt)?;
     Ok((cloud, amiss(trigger)))
 }

@@ -53,8 +53,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     }
     if let Some(session) = &args.first {
         let path = config.results.display().to_string();
-        ask_first(&config.results, session)
-            .map_err(|e| Failure::new(Exit::Failure, format!("{path}: {e}")))?;
+        ask_first(&config.results, session).map_err(|e| Failure::failed(format!("{path}: {e}")))?;
         return Ok(Exit::Done);
     }
     if let Some(session) = &args.retry {
@@ -68,7 +67,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 fn stop_on_signals(stop: &Arc<AtomicBool>) -> Result<(), Failure> {
-    let failed = |e: std::io::Error| Failure::new(Exit::Failure, format!("signals cannot be watched: {e}"));
+    let failed = |e: std::io::Error| Failure::failed(format!("signals cannot be watched: {e}"));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
     let stop = Arc::clone(stop);
     let watch = move || {
@@ -88,7 +87,7 @@ fn stop_on_signals(stop: &Arc<AtomicBool>) -> Result<(), Failure> {
 fn state(config: &WorkerConfig, json: bool) -> Result<Exit, Failure> {
     let state = WorkerState::load(&config.results).ok_or_else(|| {
         let message = format!("no worker has been at work on {}; start one", config.results.display());
-        Failure::new(Exit::Usage, message)
+        Failure::usage(message)
     })?;
     if json {
         println!("{}", serde_json::json!(state));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Cameras and interfaces whose subnets do not fit: a camera that nobody reaches, two interfaces in one subnet.
 
-use super::{Check, Finding};
+use super::finding::{Check, Finding};
 use crate::network::{Answer, Interface, shared_subnets};
 
 /// The verdicts: on interfaces that share a subnet where one of `used` is among them, and on cameras that answered a broadcast
