@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody board`: the calibration board's artwork and its list of circles.
 
-use super::failure::Failure;
-use super::tell_files;
+use super::failure::{Failure, print_files};
 use crate::base::Exit;
 use crate::base::image::{Mono8, write_png_grey};
 use crate::calibrate::{Board, artwork};
@@ -29,19 +28,14 @@ pub struct Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let board = Board::load(&args.board)?;
-    let fail = |e: std::io::Error| Failure::failed(format!("{}: {e}", args.out.display()));
-    std::fs::create_dir_all(&args.out).map_err(fail)?;
-    let mut written = Vec::new();
-    let files = [("board.svg", artwork::svg(&board)), ("circles.csv", artwork::csv(&board))];
-    for (name, text) in files {
-        let path = args.out.join(name);
-        std::fs::write(&path, text).map_err(fail)?;
-        written.push(path);
-    }
+    let files = ["board.svg", "circles.csv", "board.png"].map(|name| args.out.join(name));
+    let [svg, csv, png] = &files;
     let picture = artwork::picture(&board, f64::from(args.pixels_per_metre));
-    let path = args.out.join("board.png");
-    write_png_grey(&path, Mono8::from(&picture)).map_err(fail)?;
-    written.push(path);
-    tell_files(&written, args.json);
+    std::fs::create_dir_all(&args.out)
+        .and_then(|()| std::fs::write(svg, artwork::svg(&board)))
+        .and_then(|()| std::fs::write(csv, artwork::csv(&board)))
+        .and_then(|()| write_png_grey(png, Mono8::from(&picture)))
+        .map_err(|e| Failure::at(&args.out, e))?;
+    print_files(&files, args.json);
     Ok(Exit::Done)
 }

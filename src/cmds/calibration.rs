@@ -2,10 +2,11 @@
 //! `fourdbody calibration check`: do the devices still stand where they stood when they were calibrated?
 
 use super::failure::{Failure, tell_lost};
+use super::number_in;
 use super::progress::Progress;
 use super::reconstruct::open_source;
-use crate::base::Exit;
 use crate::base::ids::CameraId;
+use crate::base::{Exit, Scratch};
 use crate::batch::from_phase_maps::phase_path;
 use crate::batch::key::calibration_sha256;
 use crate::batch::run::{self, Plan};
@@ -49,7 +50,7 @@ struct Check {
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..=1000))]
     frame_sets: u64,
     /// What a device may have moved at the body, mm.
-    #[arg(long, value_name = "MM", default_value_t = 0.2, value_parser = parse_mm)]
+    #[arg(long, value_name = "MM", default_value_t = 0.2, value_parser = number_in(f64::MIN_POSITIVE..=f64::MAX, "millimetres above 0"))]
     most_mm: f64,
     /// Write the calibration with these turns here; its origin says so. Not written where the turns do not settle.
     #[arg(long, value_name = "FILE")]
@@ -65,11 +66,6 @@ struct Check {
     json: bool,
 }
 
-fn parse_mm(text: &str) -> Result<f64, String> {
-    let number: Option<f64> = text.parse().ok().filter(|x: &f64| *x > 0.0 && x.is_finite());
-    number.ok_or_else(|| format!("expected millimetres above 0, found {text:?}"))
-}
-
 /// A calibration whose cameras differ by less is near enough for its turns to be believed, rad; looks at most.
 const SETTLED_RAD: f64 = 0.1;
 const ROUNDS: usize = 3;
@@ -78,15 +74,6 @@ const ROUNDS: usize = 3;
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let What::Check(check) = &args.what;
     check.run()
-}
-
-/// A directory that goes when this does.
-struct Scratch(PathBuf);
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
 }
 
 /// A session and the calibration that it is compared with.

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody cameras setup`: leads through a new bench, and writes the node file's cameras.
 
+use super::connect::backend;
 use super::failure::Failure;
 use crate::base::Exit;
 use crate::base::ids::{CameraId, printable};
-use crate::camera::CameraBackend;
 use crate::network::Subnet;
 use crate::new_bench::{Claim, Given, NamedCamera, Operator, Options, Outcome};
 use std::io::{IsTerminal, Write};
@@ -80,18 +80,15 @@ struct Person {
 }
 
 impl Person {
-    /// What somebody answers; `None` where nobody is there.
+    /// The answer to a question; `None` without a terminal, or at the end of its input.
     fn ask(&self, question: &str) -> Option<String> {
         if !self.terminal {
             return None;
         }
         eprint!("{} ", printable(question));
-        let mut answer = String::new();
         std::io::stderr().flush().ok()?;
-        match std::io::stdin().read_line(&mut answer) {
-            Ok(read) if read > 0 => Some(answer.trim().to_lowercase()),
-            _ => None,
-        }
+        let answer = std::io::stdin().lines().next()?.ok()?;
+        Some(answer.trim().to_lowercase())
     }
 }
 
@@ -116,16 +113,6 @@ impl Operator for Person {
 /// A path as the service sees it, wherever that runs.
 fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
-}
-
-#[cfg(feature = "aravis")]
-fn backend() -> Result<Box<dyn CameraBackend>, Failure> {
-    Ok(Box::new(crate::camera::AravisCameras))
-}
-
-#[cfg(not(feature = "aravis"))]
-fn backend() -> Result<Box<dyn CameraBackend>, Failure> {
-    Err(super::cameras::cannot_see_cameras())
 }
 
 /// Runs `cameras setup`.

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody cameras dump` and `cameras diff`: everything that can be read of cameras, and what changed.
 
+use super::connect::backend;
 use super::failure::{Failure, unreadable};
 use crate::base::ids::printable;
 use crate::base::{Exit, json, regular};
 use crate::camera::{State, differences};
+use crate::config::NodeConfig;
 use crate::record::SessionReader;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -69,10 +71,8 @@ struct Dump {
 }
 
 /// Runs `cameras dump`.
-#[cfg(feature = "aravis")]
 pub fn dump(args: &DumpArgs) -> Result<Exit, Failure> {
-    use crate::camera::{AravisCameras, CameraBackend};
-    use crate::config::NodeConfig;
+    let mut backend = backend()?;
     let mut named: Vec<(String, String)> = Vec::new();
     if let Some(file) = &args.config {
         let config = NodeConfig::load(file)?;
@@ -81,7 +81,7 @@ pub fn dump(args: &DumpArgs) -> Result<Exit, Failure> {
     named.extend(args.address.iter().map(|address| (address.clone(), address.clone())));
     let (mut dump, mut failures) = (Dump::default(), Vec::new());
     for (name, address) in named {
-        let read = AravisCameras.open(&address).and_then(|mut camera| {
+        let read = backend.open(&address).and_then(|mut camera| {
             let identity = camera.identity().clone();
             let device = format!("{} {} {}", identity.vendor, identity.model, identity.serial);
             Ok(Dumped { device, state: camera.state()? })
@@ -105,12 +105,6 @@ pub fn dump(args: &DumpArgs) -> Result<Exit, Failure> {
         true => Ok(Exit::Done),
         false => Err(Failure::device(failures.join("\n"))),
     }
-}
-
-/// Runs `cameras dump`.
-#[cfg(not(feature = "aravis"))]
-pub fn dump(_args: &DumpArgs) -> Result<Exit, Failure> {
-    Err(super::cameras::cannot_see_cameras())
 }
 
 /// The states that a path has: of a dump, or of a session's recordings.
@@ -162,23 +156,15 @@ pub fn diff(args: &DiffArgs) -> Result<Exit, Failure> {
         );
         return Err(Failure::usage(message));
     }
-    let mut all = Vec::new();
-    for (one, other) in names {
-        all.push((one.clone(), differences(&a[one].state, &b[other].state)));
-    }
+    let compared = names.into_iter().map(|(one, other)| (one, differences(&a[one].state, &b[other].state)));
     if args.json {
-        let cameras: BTreeMap<&String, Vec<serde_json::Value>> = all
-            .iter()
-            .map(|(name, differences)| {
-                let lines = differences.iter();
-                let lines = lines.map(|(f, a, b)| serde_json::json!({ "feature": f, "a": a, "b": b }));
-                (name, lines.collect())
-            })
-            .collect();
+        let json = |(feature, a, b)| serde_json::json!({ "feature": feature, "a": a, "b": b });
+        let cameras: BTreeMap<&String, Vec<serde_json::Value>> =
+            compared.map(|(name, differences)| (name, differences.into_iter().map(json).collect())).collect();
         println!("{}", serde_json::json!({ "cameras": cameras }));
         return Ok(Exit::Done);
     }
-    for (name, differences) in all {
+    for (name, differences) in compared {
         println!("{name}  {} features differ", differences.len());
         let text = |value: Option<String>| value.map_or_else(|| "-".to_owned(), |value| printable(&value));
         for (feature, a, b) in differences {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody cameras`: what answers to discovery; its subcommands: the whole state of cameras.
 
+use super::connect::backend;
 use super::failure::Failure;
 use super::{camera_setup, camera_state};
 use crate::base::Exit;
@@ -37,10 +38,8 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     }
 }
 
-#[cfg(feature = "aravis")]
 fn list(args: &Args) -> Result<Exit, Failure> {
-    use crate::camera::CameraBackend;
-    let mut list = crate::camera::AravisCameras.list();
+    let mut list = backend()?.list();
     list.sort_by(|a, b| a.address.cmp(&b.address));
     if args.json {
         println!("{}", serde_json::json!({ "cameras": list }));
@@ -55,16 +54,4 @@ fn list(args: &Args) -> Result<Exit, Failure> {
     }
     println!("{} found", list.len());
     Ok(Exit::Done)
-}
-
-#[cfg(not(feature = "aravis"))]
-fn list(_args: &Args) -> Result<Exit, Failure> {
-    Err(cannot_see_cameras())
-}
-
-/// Why a binary without Aravis does not do what needs cameras.
-#[cfg(not(feature = "aravis"))]
-pub(super) fn cannot_see_cameras() -> Failure {
-    let message = "this binary was built without the feature `aravis` and cannot see cameras; build it with default features";
-    Failure::usage(message)
 }

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Why a command failed: what it says on standard error, and its exit code.
 
+use crate::base::ids::one_line;
 use crate::base::{Exit, Fault};
 use crate::config::ConfigError;
 use crate::data::LostPart;
 use crate::record::ReadError;
 use std::fmt;
 use std::io::ErrorKind;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A command's failure: what was expected, what was found, what to do; and the exit code.
 #[derive(Debug)]
@@ -91,6 +92,15 @@ pub(super) fn unreadable(path: &Path, error: impl fmt::Display) -> Failure {
 pub(super) fn unusable_clouds(directory: &Path, error: impl fmt::Display) -> Failure {
     let some = ["phases", "clouds", "merged"].iter().any(|folder| directory.join(folder).is_dir());
     Failure::new(if some { Exit::Corrupt } else { Exit::Usage }, error)
+}
+
+/// Prints which files a command has written: a line each, or JSON.
+pub(super) fn print_files(files: &[PathBuf], json: bool) {
+    if json {
+        println!("{}", serde_json::json!({ "files": files }));
+    } else {
+        files.iter().for_each(|path| println!("{}", one_line(path.display())));
+    }
 }
 
 /// Says which parts of a session cannot be read; returns whether there are any.

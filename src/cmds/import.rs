@@ -73,8 +73,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let partial = partial_path(&args.out);
     let session = Import { rig: &rig, rig_text: &rig_text, name: &name, sequences: &sequences, triggers };
     let result = session.write(&partial).and_then(|verdicts| {
-        std::fs::rename(&partial, &args.out)
-            .map_err(|e| Failure::failed(format!("{}: {e}", args.out.display())))?;
+        std::fs::rename(&partial, &args.out).map_err(|e| Failure::at(&args.out, e))?;
         Ok(verdicts)
     });
     let verdicts = match result {

@@ -39,14 +39,15 @@ pub mod worker;
 pub use cli::{Cli, Command};
 pub use failure::Failure;
 
-use crate::base::ids::one_line;
-use std::path::PathBuf;
+use std::ops::RangeInclusive;
 
-/// Says which files a command has written: a line each, or JSON.
-fn tell_files(files: &[PathBuf], json: bool) {
-    if json {
-        println!("{}", serde_json::json!({ "files": files }));
-    } else {
-        files.iter().for_each(|path| println!("{}", one_line(path.display())));
+/// A parser of numbers within a range, for clap; `expected` describes them where an argument is refused.
+fn number_in(
+    range: RangeInclusive<f64>,
+    expected: &'static str,
+) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let number = text.parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| format!("expected {expected}, found {text:?}"))
     }
 }

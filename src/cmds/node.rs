@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody node`: the daemon of one acquisition PC.
 
+use super::connect::backend;
 use super::failure::Failure;
 use crate::api::{self, Auth, Listeners, NodeHandle, Services, Shared};
 use crate::base::Exit;
@@ -180,15 +181,4 @@ impl StopSignals {
             _ = self.interrupt.recv() => {}
         }
     }
-}
-
-#[cfg(feature = "aravis")]
-fn backend() -> Result<Box<dyn crate::camera::CameraBackend>, Failure> {
-    Ok(Box::new(crate::camera::AravisCameras))
-}
-
-#[cfg(not(feature = "aravis"))]
-fn backend() -> Result<Box<dyn crate::camera::CameraBackend>, Failure> {
-    let message = "this binary was built without the feature `aravis` and cannot drive cameras; build it with default features";
-    Err(Failure::usage(message))
 }

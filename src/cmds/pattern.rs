@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody pattern`: the images to project.
 
-use super::failure::Failure;
-use super::tell_files;
+use super::failure::{Failure, print_files};
+use super::number_in;
 use crate::base::Exit;
 use crate::base::image::{Mono8, write_png_grey};
 use crate::config::Rig;
@@ -22,23 +22,18 @@ pub struct Args {
     out: PathBuf,
     /// Exponent by which the projectors turn panel values into light, in place of the rig file's: the images undo it.
     /// `fourdbody calibrate` measures it.
-    #[arg(long, value_name = "G", value_parser = parse_gamma)]
+    #[arg(long, value_name = "G", value_parser = number_in(0.2..=5.0, "an exponent from 0.2 to 5, for instance 2.2"))]
     gamma: Option<f64>,
     /// Print the paths as JSON: {"files": [...]}.
     #[arg(long)]
     json: bool,
 }
 
-fn parse_gamma(text: &str) -> Result<f64, String> {
-    let gamma = text.parse().ok().filter(|gamma: &f64| (0.2..=5.0).contains(gamma));
-    gamma.ok_or_else(|| format!("expected an exponent from 0.2 to 5, for instance 2.2, found {text:?}"))
-}
-
 /// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut rig = Rig::load(&args.rig)?;
     rig.pattern.gamma = args.gamma.unwrap_or(rig.pattern.gamma);
-    let fail = |e: std::io::Error| Failure::failed(format!("{}: {e}", args.out.display()));
+    let fail = |e: std::io::Error| Failure::at(&args.out, e);
     std::fs::create_dir_all(&args.out).map_err(fail)?;
     let mut files = Vec::new();
     for head in &rig.heads {
@@ -47,6 +42,6 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         write_png_grey(&path, Mono8::from(&panel)).map_err(fail)?;
         files.push(path);
     }
-    tell_files(&files, args.json);
+    print_files(&files, args.json);
     Ok(Exit::Done)
 }

@@ -49,8 +49,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         _ => None,
     };
     let page = render(&report, playing.as_ref());
-    let bytes = write(&args.out, &page, playing.as_ref())
-        .map_err(|e| Failure::failed(format!("{}: {e}", args.out.display())))?;
+    let bytes = write(&args.out, &page, playing.as_ref()).map_err(|e| Failure::at(&args.out, e))?;
     if args.json {
         let unreadable: Vec<String> = report.unreadable.iter().map(ToString::to_string).collect();
         let exposure: BTreeMap<String, Option<Exposure>> = exposures(&report).collect();

@@ -56,7 +56,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let style = Style { width: height * 4 / 5, height, by_camera: args.by_camera };
     let picture = draw_sides(&cloud, args.azimuth, usize::from(args.sides), style);
     write_png_rgb(&args.out, picture.width, picture.height, &picture.rgb)
-        .map_err(|e| Failure::failed(format!("{}: {e}", args.out.display())))?;
+        .map_err(|e| Failure::at(&args.out, e))?;
     if args.json {
         println!("{}", serde_json::json!({ "picture": args.out, "points": cloud.len() }));
     } else {

@@ -3,6 +3,7 @@
 
 use super::finding::{Check, Finding, Grade, bytes};
 use super::load::Load;
+use crate::base::Scratch;
 use crate::base::ids::{BlockId, SessionName, TriggerIndex};
 use crate::base::time::host_time_ns;
 use crate::config::NodeConfig;
@@ -130,15 +131,6 @@ fn remove_leftovers(dir: &Path) {
             // What cannot be removed shows in the free space.
             let _ = std::fs::remove_dir_all(entry.path());
         }
-    }
-}
-
-/// Removes the test recording, whatever happened to it.
-struct Scratch(PathBuf);
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
     }
 }
 

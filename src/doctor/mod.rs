@@ -36,7 +36,7 @@ const DISCOVERY_PATIENCE: Duration = Duration::from_millis(700);
 /// the disk test. Without a `backend` cameras are not opened.
 pub fn examine(
     config: Option<&NodeConfig>,
-    mut backend: Option<&mut dyn CameraBackend>,
+    mut backend: Option<Box<dyn CameraBackend>>,
     disk_time: Duration,
     disk_progress: &dyn Fn(Duration, Duration),
     mut report: impl FnMut(Finding),
@@ -48,7 +48,7 @@ pub fn examine(
     report(node::judge_port(&port, config.api.listen));
     // A camera that is configured by its Aravis id, or is on USB, is found in a list of all cameras.
     let by_id = config.cameras.iter().any(|camera| camera.address.parse::<IpAddr>().is_err());
-    let listed = backend.as_deref_mut().filter(|_| by_id).map_or_else(Vec::new, |backend| backend.list());
+    let listed = backend.as_mut().filter(|_| by_id).map_or_else(Vec::new, |backend| backend.list());
     let all = interfaces();
     let paths = network::gather(config, &listed, &all);
     network::judge(&paths, &load).into_iter().for_each(&mut report);
@@ -73,9 +73,9 @@ pub fn examine(
         return node::judge_status(status).into_iter().for_each(report);
     }
     match backend {
-        Some(backend) => {
+        Some(mut backend) => {
             for camera in &config.cameras {
-                let facts = devices::CameraFacts::gather(camera, config, backend);
+                let facts = devices::CameraFacts::gather(camera, config, backend.as_mut());
                 devices::judge_camera(&facts, &load).into_iter().for_each(&mut report);
             }
         }
