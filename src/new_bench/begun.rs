@@ -2,7 +2,7 @@
 //! What is known of a node file before its cameras: read, or begun.
 
 use super::node_file::{Given, begin};
-use super::run::{Options, usage};
+use super::options::{Options, usage};
 use crate::base::ids::{CameraId, NodeId};
 use crate::base::{Fault, regular};
 use crate::config::Rig;

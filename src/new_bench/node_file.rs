@@ -33,8 +33,8 @@ pub struct Entry {
     pub trigger_line: Option<String>,
     /// The time between two packets.
     pub packet_delay: Option<PacketDelay>,
-    /// What stands above the entry.
-    pub told: Option<String>,
+    /// The comment above the entry, in one line.
+    pub comment: String,
 }
 
 /// The comment that this module writes and finds again.
@@ -112,16 +112,14 @@ pub fn with_cameras(text: &str, entries: &[Entry], packet_bytes: Option<u32>) ->
                 PacketDelay::Microseconds(delay) => delay.into(),
             }),
         );
-        if let Some(told) = &entry.told {
-            let before = table.decor().prefix().and_then(|prefix| prefix.as_str()).unwrap_or("\n").to_owned();
-            let kept = before.lines().filter(|line| !line.starts_with(COMMENT));
-            let mut prefix: String = kept.map(|line| format!("{line}\n")).collect();
-            if prefix.is_empty() {
-                prefix.push('\n');
-            }
-            let told: String = told.chars().filter(|c| !c.is_control()).collect();
-            table.decor_mut().set_prefix(format!("{prefix}{COMMENT}{told}\n"));
+        let before = table.decor().prefix().and_then(|prefix| prefix.as_str()).unwrap_or("\n").to_owned();
+        let kept = before.lines().filter(|line| !line.starts_with(COMMENT));
+        let mut prefix: String = kept.map(|line| format!("{line}\n")).collect();
+        if prefix.is_empty() {
+            prefix.push('\n');
         }
+        let comment: String = entry.comment.chars().filter(|c| !c.is_control()).collect();
+        table.decor_mut().set_prefix(format!("{prefix}{COMMENT}{comment}\n"));
     }
     Ok(file.to_string())
 }
@@ -158,13 +156,13 @@ mod tests {
     use crate::base::ids::CameraId;
     use crate::config::PacketDelay;
 
-    fn entry(id: &str, told: &str) -> Entry {
+    fn entry(id: &str, comment: &str) -> Entry {
         Entry {
             id: CameraId::from(id),
             address: "192.168.10.2".to_owned(),
             trigger_line: Some("Line1".to_owned()),
             packet_delay: Some(PacketDelay::Auto),
-            told: Some(told.to_owned()),
+            comment: comment.to_owned(),
         }
     }
 

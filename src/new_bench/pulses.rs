@@ -5,10 +5,8 @@ use super::delays::FrameTimes;
 use crate::base::ids::{NodeId, SessionName};
 use crate::base::time::{HostClock, host_time_ns, monotonic_ns};
 use crate::camera::{
-    Camera, CameraClockSample, CameraError, FrameContract, FrameStream, Received, StreamOptions, Transfer,
-    quiet_stream,
+    Camera, CameraClockSample, CameraError, FrameStream, Received, StreamOptions, Transfer, quiet_stream,
 };
-use crate::config::SocketMode;
 use crate::host::frame_memory::Pool;
 use crate::hsu::{ArmRequest, Hsu, HsuError, HsuEvent, HsuTiming, session_id};
 use std::time::{Duration, Instant};
@@ -47,47 +45,15 @@ pub struct Seen {
     pub picture: Vec<u8>,
 }
 
-/// What became of a train.
-#[derive(Debug)]
-pub struct Train {
-    /// Its triggers on the host's clock, ns, ascending.
-    pub triggers: Vec<u64>,
-    /// What came of each camera, in their order.
-    pub seen: Vec<Seen>,
-}
-
-/// How streams are made.
-#[derive(Debug, Clone)]
-pub struct Reception {
-    /// Bytes of a packet.
-    pub packet_bytes: u32,
-    /// How packets are received.
-    pub socket: SocketMode,
-}
-
 impl<'a> Waiting<'a> {
     /// Makes a stream for a camera that is set up, and reads its clock.
     ///
     /// # Errors
     /// As the camera's.
-    pub fn new(
-        camera: &'a mut dyn Camera,
-        contract: FrameContract,
-        reception: &Reception,
-        period_ns: u64,
-    ) -> Result<Self, CameraError> {
-        let options = StreamOptions {
-            contract,
-            packet_bytes: reception.packet_bytes,
-            socket: reception.socket,
-            period_ns,
-        };
-        let pool = Pool::new(false, 0);
-        let (stream, _) = quiet_stream(
-            camera,
-            || pool.take(contract.pixels(), contract.received_bytes(), BLOCKS),
-            &options,
-        )?;
+    pub fn new(camera: &'a mut dyn Camera, options: &StreamOptions) -> Result<Self, CameraError> {
+        let (pool, contract) = (Pool::new(false, 0), options.contract);
+        let blocks = || pool.take(contract.pixels(), contract.received_bytes(), BLOCKS);
+        let (stream, _) = quiet_stream(camera, blocks, options)?;
         let mut clock: Option<CameraClockSample> = None;
         for _ in 0..READINGS {
             let Some(reading) = camera.sample_clock()? else { break };
@@ -150,7 +116,8 @@ pub enum TrainError {
     },
 }
 
-/// Has the unit emit `count` triggers with this timing, and takes what the cameras send. Cameras are stopped, whatever happens.
+/// Has the unit emit `count` triggers with this timing, and receives the frames of the cameras. Returns the triggers on the
+/// host's clock, ns, ascending, and what each camera sent, in their order. Cameras are stopped, whatever happens.
 ///
 /// # Errors
 /// [`TrainError`]; a camera that cannot be started is one that sends nothing.
@@ -160,7 +127,7 @@ pub fn train(
     timing: &HsuTiming,
     count: u32,
     mut cameras: Vec<Waiting<'_>>,
-) -> Result<Train, TrainError> {
+) -> Result<(Vec<u64>, Vec<Seen>), TrainError> {
     let host = HostClock::start();
     let result = fire(hsu, node, timing, count, &mut cameras, &host);
     for waiting in &mut cameras {
@@ -169,7 +136,7 @@ pub fn train(
         }
     }
     let triggers = result?;
-    Ok(Train { triggers, seen: cameras.into_iter().map(|waiting| waiting.seen).collect() })
+    Ok((triggers, cameras.into_iter().map(|waiting| waiting.seen).collect()))
 }
 
 fn fire(

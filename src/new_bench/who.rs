@@ -3,7 +3,7 @@
 
 use super::addresses::PATIENCE;
 use super::found::Found;
-use super::run::{Operator, Options};
+use super::options::{Operator, Options};
 use crate::network::{Answer, Interface, Subnet, discover};
 
 /// Everybody who answers.
