@@ -3,6 +3,7 @@
 
 use super::connect::Connect;
 use super::failure::Failure;
+use super::signals::on_signals;
 use crate::base::ids::one_line;
 use crate::base::{Exit, Fault};
 use crate::capture::participant::Participant;
@@ -13,6 +14,7 @@ use crate::control::request::StartOn;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
+use tokio::signal::unix::SignalKind;
 
 /// Capture sessions on all nodes; live progress; the verdict at the end.
 ///
@@ -184,26 +186,14 @@ fn record_on_enter(control: &Arc<Control>) {
     });
 }
 
-/// From here on Ctrl-C ends the capture, not the process; unless nobody has taken notice of the one before.
+/// From here on Ctrl-C ends the capture, not the process; a second one ends the process where the capture does not react.
 pub(super) fn stop_on_ctrl_c(control: &Arc<Control>) -> Result<(), Fault> {
-    use tokio::signal::unix::{SignalKind, signal};
     let control = Arc::clone(control);
-    let cannot = |e| Fault::new(Exit::Failure, format!("cannot watch for Ctrl-C: {e}"));
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(cannot)?;
-    // Registered before the thread runs: from here on no Ctrl-C kills the process.
-    let mut interrupts = {
-        let _inside = runtime.enter();
-        signal(SignalKind::interrupt()).map_err(cannot)?
-    };
-    std::thread::spawn(move || {
-        runtime.block_on(async {
-            while interrupts.recv().await.is_some() {
-                if control.ends() {
-                    std::process::exit(i32::from(Exit::Failure as u8));
-                }
-                control.stop();
-            }
-        });
-    });
-    Ok(())
+    on_signals(&[SignalKind::interrupt()], move || {
+        if control.ends() {
+            std::process::exit(i32::from(Exit::Failure as u8));
+        }
+        control.stop();
+    })
+    .map_err(|e| Fault::failed(format!("cannot watch for Ctrl-C: {e}")))
 }

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! How commands reach nodes (URLs, tokens, trusted certificates) and cameras.
 
-use super::failure::Failure;
-use crate::base::{Exit, Fault};
+use crate::base::Fault;
 use crate::camera::CameraBackend;
 use crate::control::client::{Credentials, NodeClient};
 use std::path::PathBuf;
@@ -52,7 +51,7 @@ impl Shown {
             let (found, expected) = (files.len(), nodes.len());
             let message =
                 format!("{found} token files for {expected} nodes; expected one for all, or one for each");
-            return Err(Fault::new(Exit::Usage, message));
+            return Err(Fault::usage(message));
         }
         let client = |(i, url): (usize, &String)| {
             let token_file = files.get(i).or(files.last()).cloned();
@@ -64,13 +63,13 @@ impl Shown {
 
 /// The cameras of this host.
 #[cfg(feature = "aravis")]
-pub(super) fn backend() -> Result<Box<dyn CameraBackend>, Failure> {
+pub(super) fn backend() -> Result<Box<dyn CameraBackend>, Fault> {
     Ok(Box::new(crate::camera::AravisCameras))
 }
 
 /// Without Aravis no command sees cameras.
 #[cfg(not(feature = "aravis"))]
-pub(super) fn backend() -> Result<Box<dyn CameraBackend>, Failure> {
+pub(super) fn backend() -> Result<Box<dyn CameraBackend>, Fault> {
     let message = "this binary was built without the feature `aravis` and cannot see cameras; build it with default features";
-    Err(Failure::usage(message))
+    Err(Fault::usage(message))
 }

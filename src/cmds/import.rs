@@ -215,25 +215,22 @@ impl Import<'_> {
         let period_ns = 1e9 / self.rig.trigger_rate_hz;
         for trigger in 0..self.triggers {
             let camera_time_ns = (trigger as f64 * period_ns).round() as u64;
-            let images: Vec<Option<Result<Vec<u8>, String>>> = cameras
+            let frames: Result<Vec<Option<(FrameMeta, Vec<u8>)>>, String> = cameras
                 .par_iter()
                 .map(|camera| {
-                    let path = self.sequences.get(&camera.id).and_then(|s| s.get(&trigger));
-                    path.map(|path| message_of(camera, path, trigger, camera_time_ns, created_ns))
+                    let path = self.sequences.get(&camera.id).and_then(|images| images.get(&trigger));
+                    let frame = path.map(|path| frame_of(camera, path, trigger, camera_time_ns, created_ns));
+                    frame.transpose()
                 })
                 .collect();
-            for (place, image) in images.into_iter().enumerate() {
-                let Some(message) = image.transpose().map_err(Failure::usage)? else {
-                    continue;
-                };
-                let envelope = crate::record::parse_envelope(&message);
-                let meta = envelope.map_err(Failure::failed)?.meta;
-                recording.frame(place, &meta, &message).map_err(failed)?;
-            }
-            for (place, camera) in cameras.iter().enumerate() {
-                if !self.sequences.get(&camera.id).is_some_and(|s| s.contains_key(&trigger)) {
-                    recording.gap(place, TriggerIndex(trigger), GapCause::NotRecorded).map_err(failed)?;
+            let frames = frames.map_err(Failure::usage)?;
+            for (place, frame) in frames.iter().enumerate() {
+                if let Some((meta, message)) = frame {
+                    recording.frame(place, meta, message).map_err(failed)?;
                 }
+            }
+            for (place, _) in frames.iter().enumerate().filter(|(_, frame)| frame.is_none()) {
+                recording.gap(place, TriggerIndex(trigger), GapCause::NotRecorded).map_err(failed)?;
             }
             advance(trigger + 1);
         }
@@ -275,14 +272,14 @@ impl Import<'_> {
     }
 }
 
-/// An image as a frame's message.
-fn message_of(
+/// An image as a frame: its metadata, and its message with the envelope in front of the pixels.
+fn frame_of(
     camera: &RigCamera,
     path: &Path,
     trigger: u64,
     camera_time_ns: u64,
     created_ns: u64,
-) -> Result<Vec<u8>, String> {
+) -> Result<(FrameMeta, Vec<u8>), String> {
     let pixels = read_image(camera, path)?;
     let meta = FrameMeta {
         trigger: TriggerIndex(trigger),
@@ -297,5 +294,5 @@ fn message_of(
     let length = write_envelope(&mut message, &camera.id, &meta).map_err(|e| e.to_string())?;
     message.drain(..ENVELOPE_CAPACITY - length);
     message.extend_from_slice(&pixels);
-    Ok(message)
+    Ok((meta, message))
 }

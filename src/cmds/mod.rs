@@ -29,6 +29,7 @@ pub mod prune;
 pub mod reconstruct;
 pub mod recover;
 pub mod report;
+mod signals;
 pub mod status;
 pub mod token;
 pub mod validate;

@@ -3,6 +3,7 @@
 
 use super::connect::backend;
 use super::failure::Failure;
+use super::signals::{STOP, Signals};
 use crate::api::{self, Auth, Listeners, NodeHandle, Services, Shared};
 use crate::base::Exit;
 use crate::config::NodeConfig;
@@ -15,7 +16,6 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// Run the daemon of one acquisition PC: cameras, HSU link, recordings, control API.
 #[derive(clap::Args)]
@@ -58,7 +58,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     unfinished.retain(|found| found.node == config.node);
     unfinished.iter().for_each(warn_of);
     let mut signals = runtime
-        .block_on(async { StopSignals::watch() })
+        .block_on(async { Signals::watch(&STOP) })
         .map_err(|e| Failure::failed(format!("cannot watch signals: {e}")))?;
     let driver = NodeThread::start(config.clone(), backend).map_err(Failure::failed)?;
     driver.status().write().unwrap_or_else(PoisonError::into_inner).interrupted = unfinished;
@@ -118,7 +118,7 @@ async fn serve(
     driver: &NodeThread,
     notifier: Option<Notifier>,
     read: &api::OutcomeRead,
-    signals: &mut StopSignals,
+    signals: &mut Signals,
 ) -> Ended {
     let (end, ended) = tokio::sync::oneshot::channel::<()>();
     let until_end = async move { drop(ended.await) };
@@ -151,34 +151,10 @@ async fn until_fetched(driver: &NodeThread, read: &api::OutcomeRead) {
         tokio::time::sleep(POLL).await;
     }
     let status = driver.status();
-    let last = match status.read() {
-        Ok(status) => status.session.as_ref().map(|session| session.session_id),
-        Err(poisoned) => poisoned.into_inner().session.as_ref().map(|session| session.session_id),
-    };
+    let last = status.read().unwrap_or_else(PoisonError::into_inner).session.as_ref().map(|s| s.session_id);
     let Some(last) = last else { return };
     let begin = Instant::now();
     while read.load(Ordering::Acquire) != last && begin.elapsed() < READ_PATIENCE {
         tokio::time::sleep(POLL).await;
-    }
-}
-
-/// SIGTERM and SIGINT.
-pub(super) struct StopSignals {
-    terminate: Signal,
-    interrupt: Signal,
-}
-
-impl StopSignals {
-    /// From here on neither ends the process by itself. Needs a runtime.
-    pub(super) fn watch() -> std::io::Result<Self> {
-        let (terminate, interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
-        Ok(Self { terminate, interrupt })
-    }
-
-    pub(super) async fn next(&mut self) {
-        tokio::select! {
-            _ = self.terminate.recv() => {}
-            _ = self.interrupt.recv() => {}
-        }
     }
 }

@@ -2,6 +2,7 @@
 //! `fourdbody worker`: reconstructs by itself what the nodes have recorded.
 
 use super::failure::Failure;
+use super::signals::{STOP, on_signals};
 use crate::base::Exit;
 use crate::base::ids::one_line;
 use crate::config::WorkerConfig;
@@ -61,27 +62,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         return Ok(Exit::Done);
     }
     let stop = Arc::new(AtomicBool::new(false));
-    stop_on_signals(&stop)?;
+    let stopped = Arc::clone(&stop);
+    on_signals(&STOP, move || stopped.store(true, Ordering::Release))
+        .map_err(|e| Failure::failed(format!("signals cannot be watched: {e}")))?;
     let complete = Worker::new(config, stop)?.run(args.once)?;
     Ok(if complete || !args.once { Exit::Done } else { Exit::DataLoss })
-}
-
-fn stop_on_signals(stop: &Arc<AtomicBool>) -> Result<(), Failure> {
-    let failed = |e: std::io::Error| Failure::failed(format!("signals cannot be watched: {e}"));
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
-    let stop = Arc::clone(stop);
-    let watch = move || {
-        let signalled = runtime.block_on(async {
-            let mut signals = super::node::StopSignals::watch()?;
-            signals.next().await;
-            std::io::Result::Ok(())
-        });
-        if let Err(error) = signalled {
-            tracing::warn!("signals cannot be watched: {error}");
-        }
-        stop.store(true, Ordering::Release);
-    };
-    std::thread::Builder::new().name("signals".to_owned()).spawn(watch).map(drop).map_err(failed)
 }
 
 fn state(config: &WorkerConfig, json: bool) -> Result<Exit, Failure> {

@@ -2,7 +2,7 @@
 //! What is known of a node file before its cameras: read, or begun.
 
 use super::node_file::{Given, begin};
-use super::options::{Options, usage};
+use super::options::Options;
 use crate::base::ids::{CameraId, NodeId};
 use crate::base::{Fault, regular};
 use crate::config::Rig;
@@ -26,7 +26,7 @@ pub struct Begun {
 /// It cannot be read, or does not say which node of which rig this is.
 pub fn begin_file(options: &Options) -> Result<Begun, Fault> {
     let path = &options.path;
-    let problem = |what: String| usage(format!("{}: {what}", path.display()));
+    let problem = |what: String| Fault::usage(format!("{}: {what}", path.display()));
     let text = match regular::read_text(path, regular::TEXT_BYTES) {
         Ok(text) => text,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
@@ -36,21 +36,25 @@ pub fn begin_file(options: &Options) -> Result<Begun, Fault> {
     let table: toml::Table = begun.parse().map_err(|e| problem(format!("not valid TOML: {e}")))?;
     let said = |key: &str| table.get(key).and_then(toml::Value::as_str).unwrap_or_default().to_owned();
     let rig_path = path.parent().unwrap_or(Path::new(".")).join(said("rig"));
-    let rig = Rig::load(&rig_path).map_err(|error| usage(format!("{error}\n(--rig FILE names the rig)")))?;
+    let rig =
+        Rig::load(&rig_path).map_err(|error| Fault::usage(format!("{error}\n(--rig FILE names the rig)")))?;
     let nodes = rig.nodes();
     let named: Vec<String> = nodes.iter().map(ToString::to_string).collect();
     let node = match (said("node"), nodes.first()) {
         (said, _) if !said.is_empty() => NodeId(said),
         (_, Some(only)) if nodes.len() == 1 => only.clone(),
         _ => {
-            return Err(usage(format!(
+            return Err(Fault::usage(format!(
                 "which node is this computer: say --node with one of {}",
                 named.join(", ")
             )));
         }
     };
     if !nodes.contains(&node) {
-        return Err(usage(format!("node {node} is not in the rig, expected one of {}", named.join(", "))));
+        return Err(Fault::usage(format!(
+            "node {node} is not in the rig, expected one of {}",
+            named.join(", ")
+        )));
     }
     let text =
         begin(&text, &Given { node: Some(node.to_string()), ..options.given.clone() }).map_err(problem)?;

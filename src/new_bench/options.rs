@@ -3,7 +3,6 @@
 
 use super::node_file::Given;
 use super::roles::Claim;
-use crate::base::{Exit, Fault};
 use crate::network::Subnet;
 use std::path::PathBuf;
 
@@ -32,8 +31,4 @@ pub trait Operator {
     fn does(&mut self, what: &str) -> bool;
     /// Whether a person is there to answer.
     fn is_there(&self) -> bool;
-}
-
-pub(super) fn usage(message: impl ToString) -> Fault {
-    Fault::new(Exit::Usage, message)
 }

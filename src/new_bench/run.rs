@@ -7,13 +7,13 @@ use super::begun::{Begun, begin_file};
 use super::found::Found;
 use super::lines::{BenchCamera, Unit, find};
 use super::node_file::{Entry, with_cameras};
-use super::options::{Operator, Options, usage};
+use super::options::{Operator, Options};
 use super::outcome::{NamedCamera, Outcome, comment};
 use super::packets::{Burst, largest};
 use super::roles::{Known, Look, Role, assign, by_heads, covered};
 use super::who::{left_out, those_meant, who_answers};
 use crate::base::ids::CameraId;
-use crate::base::{Exit, Fault, write_whole};
+use crate::base::{Fault, write_whole};
 use crate::camera::{CameraBackend, Wishes};
 use crate::config::{NodeConfig, PacketDelay};
 use crate::hsu::{HsuTimeouts, HsuTiming, TriggerUnit};
@@ -27,10 +27,6 @@ const TRIGGERS: u32 = 20;
 
 /// How many times pulses are repeated because a camera sent no picture, while lenses are covered.
 const LOOKS: usize = 3;
-
-fn device(problems: &[String]) -> Fault {
-    Fault::new(Exit::Device, problems.join("\n"))
-}
 
 /// Sets a bench up: leads the operator through all steps and writes the node file.
 ///
@@ -67,7 +63,7 @@ pub fn set_up(
         if found.len() < wanted.len() && !down.is_empty() {
             problems.push(format!("no link on {}: check cables and switches there", down.join(", ")));
         }
-        device(&problems)
+        Fault::device(problems.join("\n"))
     })?;
     ask_before_pulses(options, &roles, &found, operator)?;
     no_shared_subnet(&roles, &found, &interfaces)?;
@@ -102,7 +98,7 @@ fn ask_before_pulses(
     }
     let ids: Vec<&str> = open.iter().map(|role| role.id.as_str()).collect();
     let cameras: Vec<String> = open.iter().map(|role| found[role.camera].to_string()).collect();
-    Err(usage(format!(
+    Err(Fault::usage(format!(
         "which of these is which of {} cannot be known: {}\nsay --camera ID=SERIAL for each, or --in-order for the order of \
          their serial numbers, or run it on a terminal and cover lenses",
         ids.join(", "),
@@ -124,7 +120,7 @@ fn no_shared_subnet(roles: &[Role], found: &[Found], interfaces: &[Interface]) -
         .collect();
     match problems.is_empty() {
         true => Ok(()),
-        false => Err(Fault::new(Exit::Failure, problems.join("\n"))),
+        false => Err(Fault::failed(problems.join("\n"))),
     }
 }
 
@@ -158,20 +154,21 @@ impl Work<'_> {
         let ours: Vec<Answer> =
             self.away.iter().filter_map(|role| answers.get(role.camera)).cloned().collect();
         let moves = addresses::moves(&ours, everybody, &self.interfaces, self.options.network)
-            .map_err(|problems| device(&problems))?;
+            .map_err(|problems| Fault::device(problems.join("\n")))?;
         for next in &moves {
             let question = format!(
                 "the camera {} is in a wrong subnet: give it {} on {}?",
                 next.mac, next.to, next.interface
             );
             if !operator.agrees(&question) {
-                return Err(usage(format!(
+                return Err(Fault::usage(format!(
                     "{question} say --yes, or set its address with its vendor's program"
                 )));
             }
         }
         if !moves.is_empty() {
-            addresses::carry_out(&moves, &self.interfaces).map_err(|problems| device(&problems))?;
+            addresses::carry_out(&moves, &self.interfaces)
+                .map_err(|problems| Fault::device(problems.join("\n")))?;
         }
         for mut answer in ours {
             if let Some(next) = moves.iter().find(|next| next.mac == answer.mac) {
@@ -225,12 +222,12 @@ impl Work<'_> {
         let away = self.away.iter().map(|role| self.entry(role, None));
         let mut entries: Vec<Entry> = measured.chain(away).collect();
         entries.sort_by_key(|entry| self.place(&entry.id));
-        with_cameras(&self.begun.text, &entries, self.packet_bytes).map_err(usage)
+        with_cameras(&self.begun.text, &entries, self.packet_bytes).map_err(Fault::usage)
     }
 
     /// The node's configuration by that text.
     fn config(&self) -> Result<NodeConfig, Fault> {
-        NodeConfig::from_text(&self.text()?, &self.options.path).map_err(usage)
+        NodeConfig::from_text(&self.text()?, &self.options.path).map_err(Fault::usage)
     }
 
     /// Opens a camera and tries its packets.
@@ -471,7 +468,7 @@ impl Work<'_> {
         self.config()?;
         let text = self.text()?;
         write_whole(path, |file| file.write_all(text.as_bytes()))
-            .map_err(|e| Fault::new(Exit::Failure, format!("{}: cannot be written: {e}", path.display())))?;
+            .map_err(|e| Fault::at(path, format!("cannot be written: {e}")))?;
         Ok(Outcome { file: path.to_owned(), cameras: named, problems: self.problems, told: self.told })
     }
 }

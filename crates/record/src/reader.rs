@@ -18,6 +18,7 @@ use super::session::RecordingFiles;
 use super::statistics::WriteStatistics;
 pub(crate) use super::topic::Topic;
 use super::verdict::{CameraVerdict, TriggerSet, Verdict};
+use crate::base::Fault;
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::base::image::Plane;
 use std::collections::BTreeMap;
@@ -36,6 +37,16 @@ pub enum ReadError {
     /// It is there and cannot be read, or is none of ours any more.
     #[error("{0}")]
     Unreadable(String),
+}
+
+/// A path without a recording is a mistake of usage, one that cannot be read is corrupt data.
+impl From<ReadError> for Fault {
+    fn from(error: ReadError) -> Self {
+        match error {
+            ReadError::Absent(_) => Self::usage(error),
+            ReadError::Unreadable(_) => Self::corrupt(error),
+        }
+    }
 }
 
 /// Something about a segment's records that is not as it should be.

@@ -2,6 +2,8 @@
 //! How a command ends, and why something failed: the exit code, and what was expected, found, and is to be done.
 
 use serde::{Deserialize, Serialize};
+use std::fmt::Display;
+use std::path::Path;
 use std::process::ExitCode;
 
 /// How a command ended (a contract with scripts).
@@ -50,5 +52,30 @@ impl Fault {
     /// A fault with this exit code.
     pub fn new(exit: Exit, message: impl ToString) -> Self {
         Self { exit: exit as u8, message: message.to_string() }
+    }
+
+    /// Wrong usage or configuration: exit code 2.
+    pub fn usage(message: impl ToString) -> Self {
+        Self::new(Exit::Usage, message)
+    }
+
+    /// Corrupt data, or a verification that failed: exit code 4.
+    pub fn corrupt(message: impl ToString) -> Self {
+        Self::new(Exit::Corrupt, message)
+    }
+
+    /// A device or a link that failed: exit code 5.
+    pub fn device(message: impl ToString) -> Self {
+        Self::new(Exit::Device, message)
+    }
+
+    /// Any other failure: exit code 1.
+    pub fn failed(message: impl ToString) -> Self {
+        Self::new(Exit::Failure, message)
+    }
+
+    /// A failure of the file system at this path: exit code 1.
+    pub fn at(path: &Path, error: impl Display) -> Self {
+        Self::failed(format!("{}: {error}", path.display()))
     }
 }
