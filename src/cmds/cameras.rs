@@ -2,9 +2,10 @@
 //! `fourdbody cameras`: what answers to discovery; its subcommands: the whole state of cameras.
 
 use super::connect::backend;
-use super::failure::Failure;
+use super::failure::{Failure, print};
 use super::{camera_setup, camera_state};
 use crate::base::Exit;
+use crate::camera::CameraListing;
 
 /// List the cameras that answer to discovery, without opening any; with a subcommand: set a new bench up, or the whole
 /// state of cameras.
@@ -41,17 +42,12 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 fn list(args: &Args) -> Result<Exit, Failure> {
     let mut list = backend()?.list();
     list.sort_by(|a, b| a.address.cmp(&b.address));
-    if args.json {
-        println!("{}", serde_json::json!({ "cameras": list }));
-        return Ok(Exit::Done);
-    }
-    println!("{:<16} {:<12} {:<24} {:<20} protocol", "address", "serial", "vendor", "model");
-    for camera in &list {
-        println!(
-            "{:<16} {:<12} {:<24} {:<20} {}",
-            camera.address, camera.serial, camera.vendor, camera.model, camera.protocol
-        );
-    }
-    println!("{} found", list.len());
+    print(args.json, &serde_json::json!({ "cameras": list }), || {
+        println!("{:<16} {:<12} {:<24} {:<20} protocol", "address", "serial", "vendor", "model");
+        for CameraListing { address, serial, vendor, model, protocol, .. } in &list {
+            println!("{address:<16} {serial:<12} {vendor:<24} {model:<20} {protocol}");
+        }
+        println!("{} found", list.len());
+    });
     Ok(Exit::Done)
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody cluster`: a session reconstructed by the machines of a Slurm cluster.
 
-use super::failure::Failure;
+use super::failure::{Failure, print};
 use super::number_in;
 use super::reconstruct::{self, Opened, What};
 use crate::base::{Exit, Scratch, regular, write_whole};
@@ -174,7 +174,7 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
         cluster::write_scripts(&job).map_err(Failure::failed)?;
         submit_scripts(slurm.map_err(Failure::usage)?, &mut job)?;
     }
-    print_job(args, &job);
+    print(args.json, &serde_json::json!(job), || print_job(args, &job));
     Ok(Exit::Done)
 }
 
@@ -325,10 +325,6 @@ fn submit_scripts(slurm: Slurm, job: &mut Job) -> Result<(), Failure> {
 }
 
 fn print_job(args: &SubmitArgs, job: &Job) {
-    if args.json {
-        println!("{}", serde_json::json!(job));
-        return;
-    }
     let sizing = &job.sizing;
     println!(
         "{} frame sets in {} tasks of at most {}; each {} processors, {} MiB, {:.0} min expected, {} min at most ({:.3} s of a \
@@ -376,11 +372,7 @@ fn status(args: &StatusArgs) -> Result<Exit, Failure> {
         fetch_summaries(&store(Path::new(url))?, &args.out)?;
     }
     let status = cluster::read(&job, answer);
-    if args.json {
-        println!("{}", serde_json::json!(status));
-    } else {
-        print_status(&status);
-    }
+    print(args.json, &serde_json::json!(status), || print_status(&status));
     Ok(match (status.state, &status.summary) {
         (State::Failed | State::Unknown, _) => Exit::Failure,
         (State::Done, Some(summary)) => reconstruct::exit_of(summary),

@@ -5,6 +5,7 @@ pub use crate::base::Fault as Failure;
 
 use crate::base::ids::one_line;
 use crate::data::LostPart;
+use serde_json::json;
 use std::fmt;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -22,13 +23,19 @@ pub(super) fn unusable_clouds(directory: &Path, error: impl fmt::Display) -> Fai
     if some { Failure::corrupt(error) } else { Failure::usage(error) }
 }
 
+/// Prints a command's result: as one JSON value (`--json`), or as text for people.
+pub(super) fn print(json: bool, value: &serde_json::Value, text: impl FnOnce()) {
+    match json {
+        true => println!("{value}"),
+        false => text(),
+    }
+}
+
 /// Prints which files a command has written: a line each, or JSON.
 pub(super) fn print_files(files: &[PathBuf], json: bool) {
-    if json {
-        println!("{}", serde_json::json!({ "files": files }));
-    } else {
+    print(json, &json!({ "files": files }), || {
         files.iter().for_each(|path| println!("{}", one_line(path.display())));
-    }
+    });
 }
 
 /// Prints which parts of a session cannot be read; returns whether there are any.

@@ -4,17 +4,17 @@
 //! `DIR/CAMERA/INDEX.png`, index = trigger index. Everything is checked before anything is written, and the
 //! session appears under its name only when it is whole.
 
-use super::failure::Failure;
+use super::failure::{Failure, print};
 use super::progress::Progress;
 use crate::base::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
 use crate::base::image::read_png_grey;
-use crate::base::{Exit, regular};
+use crate::base::{Exit, Scratch, regular};
 use crate::batch::image_tree::{INDEX_END, ImageTree, Images};
 use crate::config::{Rig, RigCamera};
 use crate::record::envelope::pixels_crc;
 use crate::record::{
-    CameraHeader, ENVELOPE_CAPACITY, FrameMeta, GapCause, MAX_TRIGGERS, RecordError, Recording,
-    RecordingHeader, SessionEnd, Verdict, WriterOptions, node_dir, write_envelope,
+    CameraHeader, ENVELOPE_CAPACITY, FrameMeta, GapCause, MAX_TRIGGERS, Recording, RecordingHeader,
+    SessionEnd, Verdict, WriterOptions, node_dir, write_envelope,
 };
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
@@ -70,31 +70,18 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let triggers = sequences.values().filter_map(|s| s.last_key_value()).map(|(last, _)| last + 1).max();
     let triggers = triggers.unwrap_or(0);
     check_images(&rig, &sequences).map_err(|problems| all_problems(&args.images, &problems))?;
-    let partial = partial_path(&args.out);
     let session = Import { rig: &rig, rig_text: &rig_text, name: &name, sequences: &sequences, triggers };
-    let result = session.write(&partial).and_then(|verdicts| {
-        std::fs::rename(&partial, &args.out).map_err(|e| Failure::at(&args.out, e))?;
-        Ok(verdicts)
+    // Removed unless it gets its name.
+    let partial = Scratch(partial_path(&args.out));
+    let verdicts = session.write(&partial.0)?;
+    std::fs::rename(&partial.0, &args.out).map_err(|e| Failure::at(&args.out, e))?;
+    let value = serde_json::json!({
+        "session": args.out, "triggers": triggers, "nodes": verdicts, "left_out": tree.left_out,
     });
-    let verdicts = match result {
-        Ok(verdicts) => verdicts,
-        Err(failure) => {
-            // The error that led here is the one to report.
-            let _ = std::fs::remove_dir_all(&partial);
-            return Err(failure);
-        }
-    };
-    if args.json {
-        println!(
-            "{}",
-            serde_json::json!({"session": args.out, "triggers": triggers, "nodes": verdicts, "left_out": tree.left_out})
-        );
-    } else {
-        for (node, verdict) in &verdicts {
-            println!("node {node}: {verdict}");
-        }
+    print(args.json, &value, || {
+        verdicts.iter().for_each(|(node, verdict)| println!("node {node}: {verdict}"));
         println!("{}: imported", args.out.display());
-    }
+    });
     let lossless = verdicts.values().all(|verdict| verdict.gaps() == 0);
     Ok(if lossless { Exit::Done } else { Exit::DataLoss })
 }
@@ -207,11 +194,10 @@ impl Import<'_> {
         created_ns: u64,
         advance: &dyn Fn(u64),
     ) -> Result<Verdict, Failure> {
-        let failed = |e: RecordError| Failure::failed(e);
         let cameras: Vec<&RigCamera> = self.rig.cameras_of(node).map(|(_, camera)| camera).collect();
         let header = self.header(node, &cameras, created_ns);
-        let mut recording =
-            Recording::create(&node_dir(dir, node), header, WriterOptions::default()).map_err(failed)?;
+        let mut recording = Recording::create(&node_dir(dir, node), header, WriterOptions::default())
+            .map_err(Failure::failed)?;
         let period_ns = 1e9 / self.rig.trigger_rate_hz;
         for trigger in 0..self.triggers {
             let camera_time_ns = (trigger as f64 * period_ns).round() as u64;
@@ -226,11 +212,13 @@ impl Import<'_> {
             let frames = frames.map_err(Failure::usage)?;
             for (place, frame) in frames.iter().enumerate() {
                 if let Some((meta, message)) = frame {
-                    recording.frame(place, meta, message).map_err(failed)?;
+                    recording.frame(place, meta, message).map_err(Failure::failed)?;
                 }
             }
             for (place, _) in frames.iter().enumerate().filter(|(_, frame)| frame.is_none()) {
-                recording.gap(place, TriggerIndex(trigger), GapCause::NotRecorded).map_err(failed)?;
+                recording
+                    .gap(place, TriggerIndex(trigger), GapCause::NotRecorded)
+                    .map_err(Failure::failed)?;
             }
             advance(trigger + 1);
         }
@@ -240,7 +228,7 @@ impl Import<'_> {
             absent: GapCause::NotRecorded,
             host_time_ns: created_ns,
         };
-        recording.finish(end).map_err(failed)
+        recording.finish(end).map_err(Failure::failed)
     }
 
     fn header(&self, node: &NodeId, cameras: &[&RigCamera], created_ns: u64) -> RecordingHeader {

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody view`: a picture of a cloud.
 
-use super::failure::{Failure, tell_amiss, unreadable, unusable_clouds};
+use super::failure::{Failure, print, tell_amiss, unreadable, unusable_clouds};
 use crate::base::Exit;
 use crate::base::image::write_png_rgb;
 use crate::batch::result::{self, Clouds};
 use crate::export::view::{Style, draw_sides};
 use crate::formats::Commented;
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Draw a cloud as a PNG picture, from one side or several side by side.
@@ -57,11 +58,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let picture = draw_sides(&cloud, args.azimuth, usize::from(args.sides), style);
     write_png_rgb(&args.out, picture.width, picture.height, &picture.rgb)
         .map_err(|e| Failure::at(&args.out, e))?;
-    if args.json {
-        println!("{}", serde_json::json!({ "picture": args.out, "points": cloud.len() }));
-    } else {
+    print(args.json, &json!({ "picture": args.out, "points": cloud.len() }), || {
         println!("{}: {} points", args.out.display(), cloud.len());
-    }
+    });
     Ok(if is_amiss { Exit::DataLoss } else { Exit::Done })
 }
 

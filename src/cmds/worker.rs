@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody worker`: reconstructs by itself what the nodes have recorded.
 
-use super::failure::Failure;
+use super::failure::{Failure, print};
 use super::signals::{STOP, on_signals};
 use crate::base::Exit;
 use crate::base::ids::one_line;
@@ -74,19 +74,16 @@ fn state(config: &WorkerConfig, json: bool) -> Result<Exit, Failure> {
         let message = format!("no worker has been at work on {}; start one", config.results.display());
         Failure::usage(message)
     })?;
-    if json {
-        println!("{}", serde_json::json!(state));
-        return Ok(Exit::Done);
-    }
-    println!("{}", one_line(state.line()));
-    state.queued.iter().for_each(|name| println!("  queued     {}", one_line(name)));
-    state
-        .not_yet
-        .iter()
-        .for_each(|(name, reason)| println!("  not yet    {}", one_line(format!("{name}: {reason}"))));
-    state
-        .set_aside
-        .iter()
-        .for_each(|(name, reason)| println!("  set aside  {}", one_line(format!("{name}: {reason}"))));
+    let lines = |title: &str, named: &[(String, String)]| {
+        named
+            .iter()
+            .for_each(|(name, reason)| println!("  {title:<10} {}", one_line(format!("{name}: {reason}"))));
+    };
+    print(json, &serde_json::json!(state), || {
+        println!("{}", one_line(state.line()));
+        state.queued.iter().for_each(|name| println!("  queued     {}", one_line(name)));
+        lines("not yet", &state.not_yet);
+        lines("set aside", &state.set_aside);
+    });
     Ok(Exit::Done)
 }
