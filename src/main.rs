@@ -17,7 +17,8 @@ fn main() -> ExitCode {
     match cli.run() {
         Ok(exit) => exit.into(),
         Err(failure) => {
-            // The message may quote a file, a camera or another node. Where it cannot be written, the exit code remains.
+            // The message may quote a file, a camera or another node. Where it cannot be written, the exit code
+            // remains.
             let _ = writeln!(std::io::stderr(), "error: {}", harmless(&failure.message));
             failure.exit.into()
         }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `println`, `eprintln` and `eprint` that outlive their readers.
 //!
-//! Those of the standard library panic where nobody reads any more (`fourdbody verify SESSION | head -1`, a terminal that was
-//! closed), in the middle of whatever the command does. Here the line is lost, and the command goes on to its own exit code. Unit
-//! tests keep the standard ones, whose lines the test harness holds back.
+//! Those of the standard library panic where their reader has ended (`fourdbody verify SESSION | head -1`, a terminal
+//! that was closed), in the middle of whatever the command does. Here the line is lost, and the command goes on to its
+//! own exit code. Unit tests keep the standard ones, whose lines the test harness holds back.
 
 #[cfg(not(test))]
 macro_rules! print_to {

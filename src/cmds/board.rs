@@ -7,14 +7,15 @@ use crate::base::image::{Mono8, write_png_grey};
 use crate::calibrate::{Board, artwork};
 use std::path::PathBuf;
 
-/// Write the board's artwork (board.svg to print at scale 1, board.png to look at) and its list of circles (circles.csv).
+/// Write the board's artwork (board.svg to print at scale 1, board.png to look at) and its list of circles
+/// (circles.csv).
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  fourdbody board --board config/board.toml --out board")]
 pub struct Args {
-    /// The board file.
+    /// The board file, for instance config/board.toml.
     #[arg(long, value_name = "FILE")]
     board: PathBuf,
-    /// Where the files go.
+    /// The directory for the files; made if it is not there.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Resolution of board.png, pixels per metre.
@@ -25,7 +26,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let board = Board::load(&args.board)?;
     let files = ["board.svg", "circles.csv", "board.png"].map(|name| args.out.join(name));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody calibration check`: do the devices still stand where they stood when they were calibrated?
 
-use super::failure::{Failure, tell_lost};
+use super::failure::{Failure, print, tell_lost};
 use super::number_in;
 use super::progress::Progress;
 use super::reconstruct::open_source;
@@ -17,7 +17,7 @@ use crate::formats::phase_file;
 use crate::reconstruct::fringe_order::MostDifference;
 use std::path::{Path, PathBuf};
 
-/// Look after a calibration.
+/// Check a calibration while it is in use.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -29,11 +29,12 @@ enum What {
     Check(Check),
 }
 
-/// Measure how far each camera and projector has turned since the calibration, from a session of any body that fills the volume.
+/// Measure how far each camera and projector has turned since the calibration, from a session of any body that fills
+/// the volume.
 ///
-/// Where two cameras see one place, their phases and the calibration must agree. The turns that explain what does not are told device
-/// by device, with their uncertainty, and what they come to at the body. No point of the session has to be right for that: places
-/// whose fringe order is wrong fall out.
+/// Where two cameras see one place, their phases and the calibration must agree. The turns that explain where they do
+/// not agree are printed device by device, with their uncertainty and the displacement that they cause at the body. No
+/// point of the session has to be right for that: places whose fringe order is wrong fall out.
 ///
 /// Exit codes: 4 a device has surely moved what it sees by more than --most-mm: calibrate again.
 #[derive(clap::Args)]
@@ -43,16 +44,17 @@ enum What {
 struct Check {
     /// A session, or a directory of CAMERA/INDEX.png images.
     session: PathBuf,
-    /// The calibration.
+    /// The calibration, as `fourdbody calibrate` writes it.
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
     /// Frame sets that are looked at, evenly over the session.
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..=1000))]
     frame_sets: u64,
     /// What a device may have moved at the body, mm.
-    #[arg(long, value_name = "MM", default_value_t = 0.2, value_parser = number_in(f64::MIN_POSITIVE..=f64::MAX, "millimetres above 0"))]
+    #[arg(long, value_name = "MM", default_value_t = 0.2)]
+    #[arg(value_parser = number_in(f64::MIN_POSITIVE..=f64::MAX, "millimetres above 0"))]
     most_mm: f64,
-    /// Write the calibration with these turns here; its origin says so. Not written where the turns do not settle.
+    /// Write the calibration with these turns here; its origin states so. Not written where the turns do not settle.
     #[arg(long, value_name = "FILE")]
     corrected: Option<PathBuf>,
     /// Number of threads [default: one per core].
@@ -66,11 +68,11 @@ struct Check {
     json: bool,
 }
 
-/// A calibration whose cameras differ by less is near enough for its turns to be believed, rad; looks at most.
+/// Cameras whose phases differ by less, rad, are near enough to the calibration for the turns to be trusted.
 const SETTLED_RAD: f64 = 0.1;
+/// Number of reconstructions at most, each with the turns that the one before has found.
 const ROUNDS: usize = 3;
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let What::Check(check) = &args.what;
     check.run()
@@ -85,11 +87,11 @@ struct Compared {
     scratch: Scratch,
 }
 
-/// Why there is no drift to tell.
+/// Why there is no drift to report.
 enum Unmeasured {
     /// Devices have turned by more than can be measured.
     TooFar(String),
-    /// The session does not tell.
+    /// The session does not show how devices stand.
     NotKnown(String),
     Failed(Failure),
 }
@@ -130,9 +132,10 @@ impl Check {
         {
             history.add(checked).map_err(|e| unwritable(dir, &e))?;
         }
-        let told = |message: String| Failure::corrupt(format!("{}: {message}", self.session.display()));
         let drift = measured.map_err(|unmeasured| match unmeasured {
-            Unmeasured::TooFar(message) | Unmeasured::NotKnown(message) => told(message),
+            Unmeasured::TooFar(message) | Unmeasured::NotKnown(message) => {
+                Failure::corrupt(format!("{}: {message}", self.session.display()))
+            }
             Unmeasured::Failed(failure) => failure,
         })?;
         if let Some(path) = &self.corrected {
@@ -143,7 +146,7 @@ impl Check {
         self.tell(&drift)
     }
 
-    /// What the history is told; nothing of a check that failed.
+    /// The entry for the history; `None` for a check that failed.
     fn checked(
         &self,
         compared: &Compared,
@@ -187,7 +190,9 @@ impl Check {
             }
             if rounds == ROUNDS {
                 return Err(Unmeasured::TooFar(format!(
-                    "expected turns with which cameras differ by less than {SETTLED_RAD} rad, found {before:.3} rad after {ROUNDS} looks ({first_rad:.3} by the calibration): devices have turned too far to be measured; calibrate again"
+                    "expected turns with which cameras differ by less than {SETTLED_RAD} rad, found {before:.3} rad \
+                     after {ROUNDS} looks ({first_rad:.3} by the calibration): devices have turned too far to be \
+                     measured; calibrate again"
                 )));
             }
         }
@@ -215,7 +220,7 @@ impl Check {
         drift
     }
 
-    /// The frame sets to look at: their phases are kept as phase maps whatever they say of the calibration.
+    /// The frame sets to look at: their phases are kept as phase maps whether or not they fit the calibration.
     fn plan(&self, compared: &Compared) -> Plan {
         let triggers = compared.source.triggers();
         let every = (triggers.end - triggers.start).div_ceil(self.frame_sets).max(1);
@@ -228,13 +233,10 @@ impl Check {
     fn tell(&self, drift: &Drift) -> Result<Exit, Failure> {
         let moved = drift.moved(self.most_mm);
         let (verdict, said) = drift.verdict(self.most_mm);
-        if self.json {
-            let stands = moved.is_empty();
-            println!(
-                "{}",
-                serde_json::json!({ "stands": stands, "verdict": verdict, "said": said, "most_mm": self.most_mm, "drift": drift })
-            );
-        } else {
+        let value = serde_json::json!({
+            "stands": moved.is_empty(), "verdict": verdict, "said": said, "most_mm": self.most_mm, "drift": drift,
+        });
+        print(self.json, &value, || {
             println!(
                 "{:<20} {:>10} {:>20}   about x, y, z (+-), degree",
                 "device", "degree", "mm at the body (+-)"
@@ -247,19 +249,21 @@ impl Check {
             }
             let [before, after] = drift.differ_rad;
             println!(
-                "{} places that two cameras see: they differ by {before:.3} rad by the calibration, by {after:.3} rad with these turns",
+                "{} places that two cameras see: they differ by {before:.3} rad by the calibration, by {after:.3} \
+                 rad with these turns",
                 drift.sightings
             );
             if moved.is_empty() {
                 println!("{said}");
             }
-        }
+        });
         if moved.is_empty() {
             return Ok(Exit::Done);
         }
         let named: Vec<String> = moved.iter().map(ToString::to_string).collect();
         let message = format!(
-            "expected devices that have moved what they see by at most {} mm, found: {}; calibrate again, or reconstruct with a --corrected calibration",
+            "expected devices that have moved what they see by at most {} mm, found: {}; calibrate again, or \
+             reconstruct with a --corrected calibration",
             self.most_mm,
             named.join("; ")
         );

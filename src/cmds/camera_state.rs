@@ -48,19 +48,18 @@ Examples:
 pub struct DiffArgs {
     /// A session, a recording, or what `cameras dump --json` printed.
     a: PathBuf,
-    /// Another one.
+    /// A second one, which is compared with the first.
     b: PathBuf,
-    /// Print JSON.
+    /// Print JSON instead of text.
     #[arg(long)]
     json: bool,
 }
 
-/// One camera's state.
+/// A camera of a dump, with its whole state.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct Dumped {
-    /// Who it is.
+    /// Manufacturer, model and serial number in one line.
     device: String,
-    /// Its features.
     state: State,
 }
 
@@ -70,7 +69,6 @@ struct Dump {
     cameras: BTreeMap<String, Dumped>,
 }
 
-/// Runs `cameras dump`.
 pub fn dump(args: &DumpArgs) -> Result<Exit, Failure> {
     let mut backend = backend()?;
     let mut named: Vec<(String, String)> = Vec::new();
@@ -107,7 +105,7 @@ pub fn dump(args: &DumpArgs) -> Result<Exit, Failure> {
     }
 }
 
-/// The states that a path has: of a dump, or of a session's recordings.
+/// Reads the states of cameras from a file of `cameras dump --json`, or from a session's recordings.
 fn load(path: &Path) -> Result<Dump, Failure> {
     let is_dump = path.extension().is_some_and(|extension| extension == "json");
     let dump = if is_dump {
@@ -137,7 +135,6 @@ fn load(path: &Path) -> Result<Dump, Failure> {
     Ok(dump)
 }
 
-/// Runs `cameras diff`.
 pub fn diff(args: &DiffArgs) -> Result<Exit, Failure> {
     let (a, b) = (load(&args.a)?.cameras, load(&args.b)?.cameras);
     let mut names: BTreeSet<(&String, &String)> =

@@ -11,9 +11,8 @@ use crate::camera::CameraListing;
 /// state of cameras.
 #[derive(clap::Args)]
 #[command(args_conflicts_with_subcommands = true)]
-#[command(
-    after_help = "Examples:\n  fourdbody cameras --json\n  fourdbody cameras setup --config /etc/fourdbody/node.toml\n  fourdbody cameras dump --config /etc/fourdbody/node.toml"
-)]
+#[command(after_help = "Examples:\n  fourdbody cameras --json\n  fourdbody cameras setup --config \
+        /etc/fourdbody/node.toml\n  fourdbody cameras dump --config /etc/fourdbody/node.toml")]
 pub struct Args {
     #[command(subcommand)]
     about: Option<About>,
@@ -29,7 +28,6 @@ enum About {
     Diff(camera_state::DiffArgs),
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match &args.about {
         Some(About::Setup(args)) => camera_setup::setup(args),

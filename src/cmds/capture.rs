@@ -22,7 +22,8 @@ use tokio::signal::unix::SignalKind;
 /// the current trigger and keeps what was recorded. Exit code 3 when frames are missing (each has a gap record).
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  fourdbody capture --nodes http://127.0.0.1:7401,http://127.0.0.1:7402 --duration 10 --name walk-01"
+    after_help = "Example:\n  fourdbody capture --nodes http://127.0.0.1:7401,http://127.0.0.1:7402 --duration 10 \
+        --name walk-01"
 )]
 pub struct Args {
     #[command(flatten)]
@@ -51,11 +52,12 @@ pub struct Args {
     /// Seconds from the moment at which every node is ready to the first trigger.
     #[arg(long, value_name = "S", default_value_t = 0)]
     countdown: u32,
-    /// Begin at an edge of one of the HSU's inputs, 0 to 7: a hand switch, or another device's start. Waits 120 s for it.
+    /// Begin at an edge of one of the HSU's inputs, 0 to 7: a hand switch, or another device's start. Waits 120 s for
+    /// it.
     #[arg(long, value_name = "INPUT[:rising|:falling]")]
     start_on: Option<StartOn>,
-    /// Keep this many seconds before Record, which is Enter here: the train starts, frames are held in memory (1.1 GB a second
-    /// and node at full rate), nothing is written before. --duration and --triggers count from Record.
+    /// Keep this many seconds before Record, which is Enter here: the train starts, frames are held in memory (1.1 GB a
+    /// second and node at full rate), nothing is written before. --duration and --triggers count from Record.
     #[arg(long, value_name = "S", conflicts_with_all = ["start_on", "dry_run"])]
     pre_trigger: Option<f64>,
     /// Record this many seconds more after Ctrl-C; a second Ctrl-C ends at once.
@@ -92,7 +94,6 @@ impl Args {
     }
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let nodes = args.connect.clients()?;
     let nodes: Vec<Box<dyn Participant>> =
@@ -130,7 +131,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     };
     let (takes, fault) = match series::run(&nodes, &args.series(), &control, show, tell) {
         Ok(ended) => {
-            ended.stopped.iter().for_each(|told| eprintln!("{told}"));
+            ended.stopped.iter().for_each(|reason| eprintln!("{reason}"));
             (ended.takes, None)
         }
         Err((takes, fault)) => (takes, Some(fault)),
@@ -149,13 +150,13 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 /// One take is an object, several are a list in one.
-fn print_json(takes: &[Captured], asked: u32) {
+fn print_json(takes: &[Captured], requested: u32) {
     match takes {
-        [] if asked == 1 => {}
-        [take] if asked == 1 => println!("{}", take.to_json()),
+        [] if requested == 1 => {}
+        [take] if requested == 1 => println!("{}", take.to_json()),
         takes => {
             let takes: Vec<_> = takes.iter().map(Captured::to_json).collect();
-            println!("{}", serde_json::json!({ "takes_asked": asked, "takes": takes }));
+            println!("{}", serde_json::json!({ "takes_asked": requested, "takes": takes }));
         }
     }
 }
@@ -186,7 +187,8 @@ fn record_on_enter(control: &Arc<Control>) {
     });
 }
 
-/// From here on Ctrl-C ends the capture, not the process; a second one ends the process where the capture does not react.
+/// From here on Ctrl-C ends the capture, not the process; a second one ends the process where the capture does not
+/// react.
 pub(super) fn stop_on_ctrl_c(control: &Arc<Control>) -> Result<(), Fault> {
     let control = Arc::clone(control);
     on_signals(&[SignalKind::interrupt()], move || {

@@ -19,7 +19,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let results: Vec<(&PathBuf, Option<ConfigError>)> =
         args.files.iter().map(|f| (f, check(f).err())).collect();

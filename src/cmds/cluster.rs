@@ -16,13 +16,14 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// Tasks in one array where Slurm does not say how many it takes: its default.
+/// Number of tasks in one array at most, where Slurm does not report its limit: Slurm's default.
 const MOST_TASKS: u64 = 1001;
 
 /// Spread a reconstruction over the machines of a Slurm cluster.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  fourdbody cluster submit sessions/walk-01 --calibration calibration.json --out clouds/walk-01 --hours 1\n  fourdbody cluster status clouds/walk-01"
+    after_help = "Example:\n  fourdbody cluster submit sessions/walk-01 --calibration calibration.json --out \
+        clouds/walk-01 --hours 1\n  fourdbody cluster status clouds/walk-01"
 )]
 pub struct Args {
     #[command(subcommand)]
@@ -37,22 +38,24 @@ enum ClusterCommand {
 
 /// Submit a session as a job array of shards, with a collecting job behind it.
 ///
-/// The tasks' time and memory follow from a measurement. Everything that is submitted is in OUT/cluster, to be read. Shards
-/// that are finished already are left out, so that what has failed is submitted again by the same command.
+/// The tasks' time and memory follow from a measurement. Everything that is submitted is in OUT/cluster, to be read.
+/// Shards that are finished already are left out, so that what has failed is submitted again by the same command.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  fourdbody cluster submit sessions/walk-01 --calibration calibration.json --out clouds/walk-01 --hours 1 --partition short"
+    after_help = "Example:\n  fourdbody cluster submit sessions/walk-01 --calibration calibration.json --out \
+        clouds/walk-01 --hours 1 --partition short"
 )]
 struct SubmitArgs {
     #[command(flatten)]
     what: What,
-    /// Number of tasks, each a shard of the frame sets [default: as --hours asks for].
+    /// Number of tasks, each a shard of the frame sets [default: by --hours].
     #[arg(long, value_name = "N", conflicts_with = "hours", value_parser = clap::value_parser!(u64).range(1..))]
     tasks: Option<u64>,
     /// Tasks that are expected to take this long, hours.
-    #[arg(long, value_name = "H", default_value_t = 1.0, value_parser = number_in(0.01..=1000.0, "hours from 0.01 to 1000"))]
+    #[arg(long, value_name = "H", default_value_t = 1.0)]
+    #[arg(value_parser = number_in(0.01..=1000.0, "hours from 0.01 to 1000"))]
     hours: f64,
-    /// Processors of a task.
+    /// Number of processors of each task.
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=1024))]
     cpus: u64,
     /// Tasks that may run at once, so that a shared disk keeps up [default: as many as fit].
@@ -61,21 +64,23 @@ struct SubmitArgs {
     /// Memory of a task, MiB [default: twice what was measured].
     #[arg(long, value_name = "MIB", value_parser = clap::value_parser!(u64).range(1..))]
     memory: Option<u64>,
-    /// What a frame set takes, as `reconstruct --timings` wrote it on a machine like the cluster's [default: measured here, on
-    /// frame sets from the middle of the session].
+    /// What a frame set takes, as `reconstruct --timings` wrote it on a machine like the cluster's [default: measured
+    /// here, on frame sets from the middle of the session].
     #[arg(long, value_name = "FILE")]
     timings: Option<PathBuf>,
-    /// Where the results go instead of --out, s3://BUCKET/PREFIX: scripts, logs and summaries stay in --out. The tasks find the
-    /// store's address and credentials in the environment (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ...), as this command does.
+    /// Where the results go instead of --out, s3://BUCKET/PREFIX: scripts, logs and summaries stay in --out. The tasks
+    /// find the store's address and credentials in the environment (AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ...), as this
+    /// command does.
     #[arg(long, value_name = "URL")]
     store: Option<PathBuf>,
-    /// With s3:// locations: where a task stages frames and results, on its own node [default: its directory of temporary files].
+    /// With s3:// locations: where a task stages frames and results, on its own node [default: its directory of
+    /// temporary files].
     #[arg(long, value_name = "DIR")]
     scratch: Option<PathBuf>,
-    /// Slurm partition.
+    /// Slurm partition for all jobs.
     #[arg(long, value_name = "NAME", value_parser = parse_word)]
     partition: Option<String>,
-    /// Slurm account.
+    /// Slurm account for all jobs.
     #[arg(long, value_name = "NAME", value_parser = parse_word)]
     account: Option<String>,
     /// A further option of sbatch, for instance --sbatch=--qos=high; may be repeated.
@@ -92,9 +97,10 @@ struct SubmitArgs {
     json: bool,
 }
 
-/// Tell how far a submitted reconstruction is.
+/// Print the progress of a submitted reconstruction.
 ///
-/// Exit codes: 0 waiting, running, or done; 1 something has failed, or Slurm does not answer; 3 and 4 done, with frames that are missing or damaged.
+/// Exit codes: 0 waiting, running, or done; 1 something has failed, or Slurm does not answer; 3 and 4 done, with frames
+/// that are missing or damaged.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  fourdbody cluster status clouds/walk-01")]
 struct StatusArgs {
@@ -105,7 +111,6 @@ struct StatusArgs {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match &args.what {
         ClusterCommand::Submit(args) => submit(args),
@@ -147,8 +152,8 @@ fn submit(args: &SubmitArgs) -> Result<Exit, Failure> {
         options.extend(["--scratch".to_owned(), absolute(scratch)?.display().to_string()]);
     }
     // A dry run leaves nothing behind.
-    let asked = args.dry_run && store.is_some();
-    let summaries = asked.then(|| scratch(&std::env::temp_dir(), "summaries")).transpose()?;
+    let temporary = args.dry_run && store.is_some();
+    let summaries = temporary.then(|| scratch(&std::env::temp_dir(), "summaries")).transpose()?;
     if let Some(summaries) = &summaries {
         plan.out.clone_from(&summaries.0);
     }
@@ -209,7 +214,7 @@ fn open(
     Ok((what.session.clone(), staged.open()?))
 }
 
-/// What is known of a result in a store, to where it is looked for.
+/// Fetches the summaries of a result in a store to `out`, where they are read.
 fn fetch_summaries(store: &Location, out: &Path) -> Result<(), Failure> {
     let remote = Remote::new(store.clone()).map_err(Failure::failed)?;
     let named =
@@ -249,7 +254,7 @@ fn refuse_if_taken(session: &Path, out: &Path, slurm: Option<Slurm>) -> Result<(
     if active(status.collecting) || status.shards.iter().any(|shard| active(shard.state)) {
         let numbers = job.numbers().iter().map(u64::to_string).collect::<Vec<_>>().join(" ");
         return Err(Failure::usage(format!(
-            "{} is submitted already; `fourdbody cluster status` tells how far it is, `scancel {numbers}` takes it back",
+            "{} is submitted already; `fourdbody cluster status` prints its progress, `scancel {numbers}` cancels it",
             out.display()
         )));
     }
@@ -297,7 +302,7 @@ fn sbatch_options(args: &SubmitArgs) -> Vec<String> {
     named.chain(args.sbatch.iter().cloned()).collect()
 }
 
-/// All tasks use this copy, whatever becomes of the file.
+/// Copies the calibration for all tasks: the file may change while they wait.
 fn write_calibration(calibration: &Path, out: &Path) -> Result<(), Failure> {
     let folder = cluster::folder(out);
     let path = folder.join("calibration.json");
@@ -317,7 +322,7 @@ fn submit_scripts(slurm: Slurm, job: &mut Job) -> Result<(), Failure> {
         job.save()
     });
     collecting.map_err(|error| {
-        // Nothing is left behind that nobody knows of.
+        // No job is left behind that no file names.
         let taken_back: Vec<String> =
             job.numbers().iter().filter_map(|number| slurm.cancel(*number).err()).collect();
         Failure::failed([vec![error], taken_back].concat().join("\n"))
@@ -327,7 +332,8 @@ fn submit_scripts(slurm: Slurm, job: &mut Job) -> Result<(), Failure> {
 fn print_job(args: &SubmitArgs, job: &Job) {
     let sizing = &job.sizing;
     println!(
-        "{} frame sets in {} tasks of at most {}; each {} processors, {} MiB, {:.0} min expected, {} min at most ({:.3} s of a \
+        "{} frame sets in {} tasks of at most {}; each {} processors, {} MiB, {:.0} min expected, {} min at most \
+         ({:.3} s of a \
          processor a frame set)",
         job.work.triggers[1] - job.work.triggers[0],
         sizing.tasks,
@@ -403,7 +409,7 @@ fn print_status(status: &Status) {
     if status.state == State::Failed {
         let logs = cluster::folder(Path::new(&status.out)).join("log");
         println!(
-            "what has failed tells why in {}; the same `cluster submit` again takes up what is missing",
+            "the logs of failed tasks are in {}; the same `cluster submit` again submits what is missing",
             logs.display()
         );
     }

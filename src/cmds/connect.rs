@@ -70,6 +70,7 @@ pub(super) fn backend() -> Result<Box<dyn CameraBackend>, Fault> {
 /// Without Aravis no command sees cameras.
 #[cfg(not(feature = "aravis"))]
 pub(super) fn backend() -> Result<Box<dyn CameraBackend>, Fault> {
-    let message = "this binary was built without the feature `aravis` and cannot see cameras; build it with default features";
+    let message = "this binary was built without the feature `aravis` and cannot see cameras; build it with default \
+        features";
     Err(Fault::usage(message))
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What commands print alike: files that were written, what of a session or result is missing, and why a command failed.
+//! What commands print alike: files that were written, what of a session or result is missing, and why a command
+//! failed.
 
 pub use crate::base::Fault as Failure;
 
@@ -17,7 +18,8 @@ pub(super) fn unreadable(path: &Path, error: impl fmt::Display) -> Failure {
     if absent { Failure::usage(error) } else { Failure::corrupt(error) }
 }
 
-/// The failure to use the directory of a reconstruction: one that has clouds and is not as `reconstruct` leaves it is damaged.
+/// The failure to use the directory of a reconstruction: one that has clouds and is not as `reconstruct` leaves it is
+/// damaged.
 pub(super) fn unusable_clouds(directory: &Path, error: impl fmt::Display) -> Failure {
     let some = ["phases", "clouds", "merged"].iter().any(|folder| directory.join(folder).is_dir());
     if some { Failure::corrupt(error) } else { Failure::usage(error) }
@@ -53,6 +55,7 @@ pub(super) fn tell_amiss(amiss: &[String]) -> bool {
 /// Prints that the times of a sequence are made up, where a result does not state when its triggers were.
 pub(super) fn tell_made_up_times(rate_hz: f64) {
     eprintln!(
-        "MADE UP  times: the result does not state when its triggers were; they are by index at {rate_hz} Hz (--rate-hz), from 1970 on"
+        "MADE UP  times: the result does not state when its triggers were; they are by index at {rate_hz} Hz \
+         (--rate-hz), from 1970 on"
     );
 }

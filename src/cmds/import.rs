@@ -28,8 +28,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 #[command(after_help = "\
 DIR holds a directory per camera of the rig, with 8-bit grey images of the camera's size, named by trigger
 index: DIR/h0_up/0.png, DIR/h0_up/1.png, ... (leading zeros are fine). An index that some camera has and another
-has not becomes a gap record (not_recorded). Other files, and folders without images, are left out and named; two files of
-one index, and images of a camera that the rig has not, are refused.
+has not becomes a gap record (not_recorded). Other files, and folders without images, are left out and named; two
+files of one index, and images of a camera that the rig has not, are refused.
 
 Example:
   fourdbody import --rig config/rig.toml --images shots --out sessions/walk-01")]
@@ -37,7 +37,7 @@ pub struct Args {
     /// The rig that the images were taken with.
     #[arg(long)]
     rig: PathBuf,
-    /// Directory of image sequences.
+    /// The directory of image sequences, DIR above.
     #[arg(long)]
     images: PathBuf,
     /// The session's directory; must not exist.
@@ -51,7 +51,6 @@ pub struct Args {
 // What is listed can be recorded.
 const _: () = assert!(INDEX_END == MAX_TRIGGERS);
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let rig = Rig::load(&args.rig)?;
     let rig_text = regular::read_text(&args.rig, regular::TEXT_BYTES)

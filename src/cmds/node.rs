@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  fourdbody node --config config/node-a.toml")]
 pub struct Args {
-    /// The node file.
+    /// The node file, for instance config/node-a.toml.
     #[arg(long, value_name = "FILE", required_unless_present = "print_openapi")]
     config: Option<PathBuf>,
     /// Print the description of the control API (OpenAPI, JSON) and end.
@@ -29,8 +29,8 @@ pub struct Args {
     print_openapi: bool,
 }
 
-/// How long the API answers after the end for whoever has not fetched the verdict yet: a capture asks ten times a
-/// second.
+/// How long the API answers after the end for clients that have not fetched the verdict yet: a capture polls ten times
+/// a second.
 const READ_PATIENCE: Duration = Duration::from_secs(5);
 
 /// Runs the command until SIGTERM or SIGINT. A session in progress is ended and gets its verdict, and the API answers
@@ -104,11 +104,11 @@ fn warn_of(found: &Interrupted) {
     );
 }
 
-/// How serving ended.
+/// How serving the API ended.
 enum Ended {
     /// After the first signal, or by a failure of the API.
     Orderly(std::io::Result<()>),
-    /// By a second signal.
+    /// By a second signal, which does not wait.
     Forced,
 }
 
@@ -144,7 +144,8 @@ async fn serve(
     }
 }
 
-/// Waits until the driver has ended and the outcome of its last session was fetched, or nobody seems to want it.
+/// Waits until the driver has ended and the outcome of its last session was fetched, or no client has fetched it within
+/// `READ_PATIENCE`.
 async fn until_fetched(driver: &NodeThread, read: &api::OutcomeRead) {
     const POLL: Duration = Duration::from_millis(20);
     while !driver.has_ended() {

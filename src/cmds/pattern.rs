@@ -11,13 +11,14 @@ use std::path::PathBuf;
 /// Write the image that each head projects, as PNG: OUT/HEAD.png.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example:\n  fourdbody pattern --rig config/rig.toml --out pattern\n  fourdbody pattern --rig config/rig.toml --out pattern --gamma 2.2"
+    after_help = "Example:\n  fourdbody pattern --rig config/rig.toml --out pattern\n  fourdbody pattern --rig \
+        config/rig.toml --out pattern --gamma 2.2"
 )]
 pub struct Args {
-    /// The rig file.
+    /// The rig file, for instance config/rig.toml.
     #[arg(long, value_name = "FILE")]
     rig: PathBuf,
-    /// Where the images go.
+    /// The directory for the images; made if it is not there.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Exponent by which the projectors turn panel values into light, in place of the rig file's: the images undo it.
@@ -29,7 +30,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut rig = Rig::load(&args.rig)?;
     rig.pattern.gamma = args.gamma.unwrap_or(rig.pattern.gamma);

@@ -33,7 +33,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let progress = Progress::of_bytes("recovering");
     let result = recover(&args.path, &args.out, &|done, total| progress.at(done, total));

@@ -19,8 +19,8 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command. Exit code 5 when a node does not answer or misses a device; what is judged bad besides is shown, and
-/// changes no exit code.
+/// Runs the command. Exit code 5 when a node does not answer or misses a device; what is judged bad besides is shown,
+/// and changes no exit code.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut exit = Exit::Done;
     let mut answers = Vec::new();

@@ -10,11 +10,15 @@ use std::path::{Path, PathBuf};
 
 /// Make, renew, revoke and list the tokens of a node.
 ///
-/// The node keeps names, roles and hashes (api.tokens in the node file); the secret lies only in the file that is given to
-/// its user. A running node notices changes within a second.
+/// The node keeps names, roles and hashes (api.tokens in the node file); the secret lies only in the file that is given
+/// to its user. A running node notices changes within a second.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Example, for the node of the service:\n  sudo -u fourdbody fourdbody token new --tokens /var/lib/fourdbody/tokens --role operate --name anna --file /var/lib/fourdbody/anna.token\n  fourdbody status --nodes https://node-a.lab:7401 --token-file anna.token\n  sudo -u fourdbody fourdbody token new --tokens /var/lib/fourdbody/tokens --role operate --name anna --file /var/lib/fourdbody/anna.token --replace\n  sudo -u fourdbody fourdbody token revoke --tokens /var/lib/fourdbody/tokens --name anna"
+    after_help = "Example, for the node of the service:\n  sudo -u fourdbody fourdbody token new --tokens \
+        /var/lib/fourdbody/tokens --role operate --name anna --file /var/lib/fourdbody/anna.token\n  fourdbody \
+        status --nodes https://node-a.lab:7401 --token-file anna.token\n  sudo -u fourdbody fourdbody token new \
+        --tokens /var/lib/fourdbody/tokens --role operate --name anna --file /var/lib/fourdbody/anna.token \
+        --replace\n  sudo -u fourdbody fourdbody token revoke --tokens /var/lib/fourdbody/tokens --name anna"
 )]
 pub struct Args {
     #[command(subcommand)]
@@ -31,7 +35,7 @@ enum Action {
         /// What its bearer may do: view, operate, admin; or peer, for another node.
         #[arg(long)]
         role: Role,
-        /// Whose it is; the audit log says so.
+        /// The name of its user, which the audit log records.
         #[arg(long, value_parser = token_name)]
         name: String,
         /// Where the secret goes, mode 0600.
@@ -43,16 +47,16 @@ enum Action {
     },
     /// Take a token back: who shows it is refused, and logins with it end.
     Revoke {
-        /// The node's list (api.tokens).
+        /// The node's list of tokens (api.tokens).
         #[arg(long, value_name = "FILE")]
         tokens: PathBuf,
-        /// Whose it is.
+        /// The name of the token's user.
         #[arg(long)]
         name: String,
     },
-    /// Show names and roles.
+    /// Show the names and roles of all tokens.
     List {
-        /// The node's list (api.tokens).
+        /// The node's list of tokens (api.tokens).
         #[arg(long, value_name = "FILE")]
         tokens: PathBuf,
         /// Print JSON instead of text.
@@ -61,7 +65,6 @@ enum Action {
     },
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match &args.action {
         Action::New { tokens, role, name, file, replace } => new(tokens, *role, name, file, *replace),
@@ -88,7 +91,8 @@ fn new(path: &Path, role: Role, name: &str, file: &Path, replace: bool) -> Resul
         Some(place) => list.0[place] = token,
         None => list.0.push(token),
     }
-    // A secret that no node knows harms nobody; a node that waits for a lost secret helps nobody.
+    // The secret first: one that no node knows is harmless, and one that was never written would be of no use to the
+    // node.
     write_private(file, &format!("{secret}\n"), replace).map_err(usage)?;
     list.save(path).map_err(usage)?;
     println!("{name} ({role}): the secret is in {}, its hash in {}", file.display(), path.display());

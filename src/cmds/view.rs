@@ -13,17 +13,19 @@ use std::path::PathBuf;
 /// Draw a cloud as a PNG picture, from one side or several side by side.
 #[derive(clap::Args)]
 #[command(
-    after_help = "Each file is held against its name, its session and summary.json. Exit codes: 3, the files of a camera are missing; 4, a file is damaged, \
-or of something else, or there is nothing to draw.\n\nExamples:\n  fourdbody view walk-01 --trigger 12 --out body.png --sides 4\n  fourdbody view walk-01/phases/h0_up_000012.phase --out h0_up.png"
+    after_help = "Each file is held against its name, its session and summary.json. Exit codes: 3, the files of a \
+        camera are missing; 4, a file is damaged, \
+or of something else, or there is nothing to draw.\n\nExamples:\n  fourdbody view walk-01 --trigger 12 --out \
+body.png --sides 4\n  fourdbody view walk-01/phases/h0_up_000012.phase --out h0_up.png"
 )]
 pub struct Args {
-    /// What `fourdbody reconstruct` wrote: its directory, of which the merged cloud of a trigger is drawn, or one file of it (.ply,
-    /// .phase).
+    /// What `fourdbody reconstruct` wrote: its directory, of which the merged cloud of a trigger is drawn, or one file
+    /// of it (.ply, .phase).
     cloud: PathBuf,
     /// With a directory: which trigger [default: the one in the middle].
     #[arg(long, value_name = "INDEX")]
     trigger: Option<u64>,
-    /// The picture.
+    /// The PNG file to write.
     #[arg(long, value_name = "PNG")]
     out: PathBuf,
     /// Number of views, evenly around the cloud.
@@ -32,7 +34,7 @@ pub struct Args {
     /// Where the first view is from, degrees: 0 from +x, 90 from +y.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     azimuth: f64,
-    /// Rows of the picture.
+    /// Number of rows of the picture.
     #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u16).range(16..=8000))]
     height: u16,
     /// Colour the points by camera.
@@ -43,7 +45,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let ((comments, cloud), amiss) = load(args)?;
     let is_amiss = tell_amiss(&amiss);
@@ -64,7 +65,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     Ok(if is_amiss { Exit::DataLoss } else { Exit::Done })
 }
 
-/// The cloud that is asked for, with its comments, and what is missing of it.
+/// The requested cloud with its comments, and what is missing of it.
 fn load(args: &Args) -> Result<(Commented, Vec<String>), Failure> {
     let usage = |message: String| Failure::usage(message);
     if !args.cloud.is_dir() {

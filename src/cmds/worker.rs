@@ -14,8 +14,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Reconstruct by itself what the nodes have recorded, when nothing else is to be done.
 ///
-/// Sessions are verified first, and worked on at idle priority; a capture comes before everything. Results are in a directory
-/// each below `results` of the worker file. SIGTERM and SIGINT end the worker; what is finished stays and is not made again.
+/// Sessions are verified first, and worked on at idle priority; a capture comes before everything. Results are in a
+/// directory each below `results` of the worker file. SIGTERM and SIGINT end the worker; what is finished stays and is
+/// not made again.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Exit code 3 (with --once): sessions are left that are not ready, or were set aside.
@@ -26,7 +27,7 @@ Examples:
   fourdbody worker --config worker.toml --first walk-07
   fourdbody worker --config worker.toml --retry walk-03")]
 pub struct Args {
-    /// The worker file.
+    /// The worker file, for instance /etc/fourdbody/worker.toml.
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
     /// End when there is nothing to do.
@@ -41,12 +42,11 @@ pub struct Args {
     /// Only let a session that was set aside be tried again, with the calibration that is configured now.
     #[arg(long, value_name = "SESSION")]
     retry: Option<String>,
-    /// With --state: print JSON.
+    /// With --state: print JSON instead of text.
     #[arg(long, requires = "state")]
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let config = WorkerConfig::load(&args.config)?;
     if args.state {

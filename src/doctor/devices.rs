@@ -168,7 +168,7 @@ pub fn cameras_not_examined() -> Finding {
 /// The answers of an HSU to the doctor's greeting.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GreetedHsu {
-    /// Product, unit and firmware.
+    /// Product, serial number and firmware, in one line.
     pub identity: String,
     /// The protocol version that both sides agreed on.
     pub protocol: u8,
@@ -237,7 +237,8 @@ pub fn judge_actions(action: ActionConfig, cameras: usize) -> Finding {
     match action.ptp {
         true => check.ok(format!("{what}; scheduled on the clock that PTP gives the cameras")),
         false => check.warning(
-            format!("{what}; cameras act when the packet reaches them, so exposures of a trigger differ by network delay"),
+            format!("{what}; cameras act when the packet reaches them, so exposures of a trigger differ by network \
+                delay"),
             "actions that are scheduled (trigger.ptp = true)",
             "use cameras with PTP, or an HSU, for a scene that moves",
         ),

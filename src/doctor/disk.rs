@@ -415,7 +415,8 @@ mod tests {
 
     #[test]
     fn the_nearest_mount_counts() {
-        let mounts = "/dev/a / ext4 rw,discard 0 0\n/dev/b /data ext4 rw,nodiscard 0 0\n/dev/c /data/old\\040ones xfs discard,rw 0 0\n";
+        let mounts = "/dev/a / ext4 rw,discard 0 0\n/dev/b /data ext4 rw,nodiscard 0 0\n/dev/c /data/old\\040ones \
+            xfs discard,rw 0 0\n";
         let discards = |dir: &str| has_mount_option(mounts, Path::new(dir), "discard");
         assert_eq!(["/", "/database", "/data/sessions"].map(discards), [true, true, false]);
         assert!(discards("/data/old ones/sessions"));

@@ -49,7 +49,7 @@ pub struct HostFacts {
     pub memory_available: Option<u64>,
     /// Frequency governors in use, each once; empty where there are none.
     pub governors: Vec<String>,
-    /// The kernel's clock source.
+    /// The clock source that the kernel uses.
     pub clock_source: Option<String>,
 }
 

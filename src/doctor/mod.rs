@@ -31,9 +31,9 @@ use std::time::Duration;
 /// How long the doctor waits for cameras to answer a discovery broadcast.
 const DISCOVERY_PATIENCE: Duration = Duration::from_millis(700);
 
-/// Examines the host, and with a configuration also the ways to its devices, the disk and the devices.
-/// `report` receives every finding as soon as it is known; `disk_progress` receives the elapsed and the whole duration of
-/// the disk test. Without a `backend` cameras are not opened.
+/// Examines the host, and with a configuration also the ways to its devices, the disk and the devices. `report`
+/// receives every finding as soon as it is known; `disk_progress` receives the elapsed and the whole duration of the
+/// disk test. Without a `backend` cameras are not opened.
 pub fn examine(
     config: Option<&NodeConfig>,
     mut backend: Option<Box<dyn CameraBackend>>,

@@ -14,7 +14,7 @@ use std::path::Path;
 /// Where packets to an address leave this host.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Route {
-    /// Directly through an interface.
+    /// Directly through this interface, without a router.
     Direct(Interface),
     /// To a router behind this interface: a camera network has none.
     Gateway(String),
@@ -65,8 +65,8 @@ fn route(table: &str, address: IpAddr, all: &[Interface]) -> Route {
     }
 }
 
-/// The interface of the most specific route in the text of `/proc/net/route`, of several the one with the lowest metric, and
-/// whether the route leads to a gateway. Loopback addresses are in another table.
+/// The interface of the most specific route in the text of `/proc/net/route`, of several the one with the lowest
+/// metric, and whether the route leads to a gateway. Loopback addresses are in another table.
 fn find_route(table: &str, address: Ipv4Addr) -> Option<(String, bool)> {
     const UP: u32 = 1;
     const GATEWAY: u32 = 2;

@@ -38,11 +38,14 @@ pub fn judge(filters: &[Filter], all: &[Interface]) -> Vec<Finding> {
             (Some(STRICT), Some(other)) => check.failed(
                 format!("strict, and {other} is in the same subnet: packets of cameras there are dropped"),
                 "a subnet of its own for each interface, or a loose filter (2)",
-                format!("give {name} a subnet of its own, or `sysctl net.ipv4.conf.{name}.rp_filter=2` and `...conf.all...`"),
+                format!(
+                    "give {name} a subnet of its own, or `sysctl net.ipv4.conf.{name}.rp_filter=2` and \
+                    `...conf.all...`"
+                ),
             ),
-            (Some(STRICT), None) => {
-                check.ok("strict: packets of cameras in the interface's own subnet arrive, those of others do not")
-            }
+            (Some(STRICT), None) => check.ok(
+                "strict: packets of cameras in the interface's own subnet arrive, those of others do not",
+            ),
             (Some(_), _) => check.ok("off or loose"),
             (None, _) => check.warning(
                 "cannot be read",

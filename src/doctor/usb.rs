@@ -47,7 +47,8 @@ pub fn judge(facts: &UsbFacts) -> Option<Finding> {
         Some(mb) => (Grade::Ok, format!("{mb} MiB for {cameras} USB3 cameras")),
         None => (Grade::Warning, "cannot be read".to_owned()),
     };
-    let advice = "`echo 1000 > /sys/module/usbcore/parameters/usbfs_memory_mb`, for good as usbcore.usbfs_memory_mb=1000 on \
+    let advice = "`echo 1000 > /sys/module/usbcore/parameters/usbfs_memory_mb`, for good as \
+        usbcore.usbfs_memory_mb=1000 on \
                   the kernel's command line";
     let expected = format!("at least {needed_mb} MiB for {cameras} USB3 cameras");
     Some(Check::host("usbfs memory").graded(grade, found, expected, advice))

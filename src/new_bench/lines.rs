@@ -35,8 +35,8 @@ pub struct BenchCamera {
     pub frames_at_rate: Option<(usize, u32)>,
     /// Why it cannot be used as it is.
     pub problems: Vec<String>,
-    /// Remarks for the operator.
-    pub told: Vec<String>,
+    /// Remarks that the operator should read.
+    pub notes: Vec<String>,
 }
 
 /// What pulses have shown of a camera.
@@ -59,8 +59,8 @@ impl BenchCamera {
         wishes: Wishes,
         largest: Option<u32>,
     ) -> Self {
-        let (wired, frames_at_rate, problems, told) = (None, None, Vec::new(), Vec::new());
-        Self { role, found, camera, wishes, largest, wired, frames_at_rate, problems, told }
+        let (wired, frames_at_rate, problems, notes) = (None, None, Vec::new(), Vec::new());
+        Self { role, found, camera, wishes, largest, wired, frames_at_rate, problems, notes }
     }
 
     /// Takes its settings from the node file as it is now.
@@ -130,8 +130,8 @@ impl Unit<'_> {
         Ok((triggers, places.into_iter().zip(seen).collect()))
     }
 
-    /// The mean grey value of a picture of each of these cameras at slow pulses; `None` of one that sent no picture. They must
-    /// be set up and wired.
+    /// The mean grey value of a picture of each of these cameras at slow pulses; `None` of one that sent no picture.
+    /// They must be set up and wired.
     ///
     /// # Errors
     /// As the train's.
@@ -182,13 +182,14 @@ fn problems_of(error: CameraError) -> Vec<String> {
     }
 }
 
-/// The lines to try on a camera: what the node file says first, then all that it has. `None`: nothing is said.
+/// The trigger lines to try on a camera: the one of the node file first, then all that it has. `None` leaves the line
+/// to raw settings.
 fn candidates(bench: &BenchCamera) -> VecDeque<Option<String>> {
     if bench.wishes.left_to_settings("trigger_line") {
         return [None].into();
     }
-    let said = bench.wishes.words.trigger_line.clone();
-    let mut lines: VecDeque<Option<String>> = said.into_iter().map(Some).collect();
+    let in_file = bench.wishes.words.trigger_line.clone();
+    let mut lines: VecDeque<Option<String>> = in_file.into_iter().map(Some).collect();
     for line in bench.camera.trigger_lines() {
         if !lines.contains(&Some(line.clone())) {
             lines.push_back(Some(line));
@@ -198,7 +199,7 @@ fn candidates(bench: &BenchCamera) -> VecDeque<Option<String>> {
     if lines.is_empty() { [Some(AUTO.to_owned())].into() } else { lines }
 }
 
-/// Sets a camera up with a line. A packet delay that it does not have is left out, and told.
+/// Sets a camera up with a trigger line. A packet delay that it does not support is left out, with a remark.
 fn set_up(bench: &mut BenchCamera, line: Option<String>) -> Result<SetUp, CameraError> {
     bench.wishes.words.trigger_line = line;
     let first = bench.camera.set_up(&bench.wishes);
@@ -210,7 +211,7 @@ fn set_up(bench: &mut BenchCamera, line: Option<String>) -> Result<SetUp, Camera
         return first;
     }
     let why = problems.iter().filter(|problem| of_delay(problem)).cloned().collect::<Vec<_>>().join("; ");
-    bench.told.push(format!("it sends its packets without a delay: {why}"));
+    bench.notes.push(format!("it sends its packets without a delay: {why}"));
     bench.wishes.words.packet_delay = None;
     bench.camera.set_up(&bench.wishes)
 }
@@ -234,7 +235,7 @@ pub fn find(
             while let Some(line) = left[place].pop_front() {
                 match set_up(bench, line.clone()) {
                     Ok(set_up) => {
-                        let name = line.clone().unwrap_or_else(|| "as `settings` say".to_owned());
+                        let name = line.clone().unwrap_or_else(|| "by `settings`".to_owned());
                         if tried[place].last() != Some(&name) {
                             tried[place].push(name);
                             trains[place] = 1;
@@ -244,7 +245,7 @@ pub fn find(
                         contracts[place] = Some(set_up.contract);
                         break;
                     }
-                    // A line that is no input is no reason; one that all lines have is told.
+                    // A line that cannot be an input is no problem; one that all lines share is.
                     Err(error) if tried[place].is_empty() => bench.problems = problems_of(error),
                     Err(_) => {}
                 }
@@ -273,10 +274,10 @@ pub fn find(
             let (Seen { early, broken, .. }, whole) = (&seen, seen.frames.len());
             let with = format!("with {} it sent", line.as_deref().unwrap_or("its settings"));
             if *early > 0 {
-                bench.told.push(format!("{with} {early} frames while nothing was triggered"));
+                bench.notes.push(format!("{with} {early} frames while nothing was triggered"));
             } else if whole + broken > 0 {
                 bench
-                    .told
+                    .notes
                     .push(format!("{with} {whole} whole and {broken} broken frames at {PULSES} pulses"));
                 if trains[place] < TRAINS {
                     trains[place] += 1;
@@ -289,7 +290,8 @@ pub fn find(
         if bench.wired.is_none() && !tried.is_empty() {
             bench.wishes.words.trigger_line = None;
             bench.problems.push(format!(
-                "no line gave a frame at each of {PULSES} pulses (tried {}): check the wire between the HSU and the camera",
+                "no line gave a frame at each of {PULSES} pulses (tried {}): check the wire between the HSU and the \
+                 camera",
                 tried.join(", ")
             ));
         } else if let Some(wired) = &bench.wired {

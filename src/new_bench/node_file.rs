@@ -7,18 +7,17 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, value};
 
-/// What a new file says before its cameras; what is `None` stays as the file has it.
+/// Values for a node file before its cameras; what is `None` stays as the file has it.
 #[derive(Debug, Clone, Default)]
 pub struct Given {
     /// The node's name in the rig.
     pub node: Option<String>,
-    /// The rig file.
+    /// The rig file, relative to the node file.
     pub rig: Option<PathBuf>,
-    /// The HSU's serial device.
     pub hsu: Option<PathBuf>,
-    /// Where sessions go.
+    /// The directory in which sessions are recorded.
     pub sessions: Option<PathBuf>,
-    /// Where the API listens.
+    /// Address and port of the API.
     pub listen: Option<SocketAddr>,
 }
 
@@ -40,17 +39,20 @@ pub struct Entry {
 /// The comment that this module writes and finds again.
 const COMMENT: &str = "# set up: ";
 
-const FIRST: &str = "# Written by `fourdbody cameras setup`; check with `fourdbody check-config`, and see docs/guide/new-bench.md.\n";
+const FIRST: &str = "# Written by `fourdbody cameras setup`; check with `fourdbody check-config`, and see \
+    docs/guide/new-bench.md.\n";
 
-/// A file's text with what was given, and with what every file must say and this one does not.
+/// A file's text with the given values, and with defaults for the keys that every file needs and this one does not
+/// have.
 ///
 /// # Errors
-/// The text is no TOML, or says something of another kind where a table belongs.
+/// The text is no TOML, or has something else where a table belongs.
 pub fn begin(text: &str, given: &Given) -> Result<String, String> {
     let mut file = parse(text)?;
     let source = file.get("trigger").and_then(|trigger| trigger.get("source")).and_then(Item::as_str);
     if source == Some("action") {
-        return Err("trigger.source is \"action\": expected an HSU, by whose pulses lines are found, and action commands \
+        return Err("trigger.source is \"action\": expected an HSU, by whose pulses lines are found, and action \
+            commands \
                     come by none; write the cameras' ids and addresses into the file, and try them by a session"
             .to_owned());
     }
@@ -62,13 +64,13 @@ pub fn begin(text: &str, given: &Given) -> Result<String, String> {
     set(file.as_table_mut(), "node", given.node.clone().map(Into::into));
     set(file.as_table_mut(), "rig", given.rig.as_ref().map(|rig| path(rig).into()));
     set_default(file.as_table_mut(), "rig", "rig.toml".into());
-    for (section, key, said, default) in [
+    for (section, key, given, default) in [
         ("api", "listen", given.listen.map(|listen| listen.to_string()), "127.0.0.1:7401"),
         ("hsu", "device", given.hsu.as_ref().map(path), "/dev/fourdbody-hsu"),
         ("storage", "sessions_dir", given.sessions.as_ref().map(path), "/var/lib/fourdbody/sessions"),
     ] {
         let table = table_of(&mut file, section)?;
-        set(table, key, said.map(Into::into));
+        set(table, key, given.map(Into::into));
         // A node may listen on a socket alone.
         if section != "api" || !table.contains_key("socket") {
             set_default(table, key, default.into());

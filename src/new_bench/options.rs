@@ -6,7 +6,7 @@ use super::roles::Claim;
 use crate::network::Subnet;
 use std::path::PathBuf;
 
-/// The options of [`set_up`](super::set_up).
+/// The options with which [`set_up`](super::set_up) begins.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// The node file; it need not exist.

@@ -51,7 +51,7 @@ impl NamedCamera {
     }
 }
 
-/// The outcome of [`set_up`](super::set_up).
+/// The outcome of [`set_up`](super::set_up): cameras, problems and remarks.
 #[derive(Debug, Clone, Serialize)]
 pub struct Outcome {
     /// The node file, which is written even where there are problems.
@@ -60,8 +60,9 @@ pub struct Outcome {
     pub cameras: Vec<NamedCamera>,
     /// What keeps the bench from being used.
     pub problems: Vec<String>,
-    /// Remarks for the operator.
-    pub told: Vec<String>,
+    /// Remarks that the operator should read.
+    #[serde(rename = "told")]
+    pub notes: Vec<String>,
 }
 
 /// The comment above a camera's entry in the node file.

@@ -11,18 +11,18 @@ use crate::host::frame_memory::Pool;
 use crate::hsu::{ArmRequest, Hsu, HsuError, HsuEvent, HsuTiming, session_id};
 use std::time::{Duration, Instant};
 
-/// Readings of each clock; the one with the shortest way counts.
+/// Number of readings of each clock, of which the one with the shortest round trip is used.
 const READINGS: usize = 8;
-/// Before the train no camera may send for so long.
+/// Time before the train in which frames show that a camera is not triggered by the HSU.
 const SILENCE: Duration = Duration::from_millis(250);
-/// Frames may come so long after the last trigger.
+/// How long frames are awaited after the last trigger.
 const TAIL: Duration = Duration::from_millis(400);
-/// The unit says that the train has ended so long after it has, at most.
+/// How long the report of the end is awaited after a train has ended.
 const END_PATIENCE: Duration = Duration::from_secs(3);
-/// Buffers of each stream.
+/// Number of frame buffers of each stream.
 const BLOCKS: usize = 16;
 
-/// A camera that waits for pulses.
+/// A camera with an open stream that waits for pulses.
 pub struct Waiting<'a> {
     camera: &'a mut dyn Camera,
     stream: Box<dyn FrameStream>,
@@ -32,7 +32,7 @@ pub struct Waiting<'a> {
     seen: Seen,
 }
 
-/// What came of a camera during a train.
+/// What a camera sent during a train.
 #[derive(Debug, Default)]
 pub struct Seen {
     /// Complete frames, in their order.
@@ -103,21 +103,16 @@ fn hsu_minus_host_ns(hsu: &Hsu, host: &HostClock) -> Result<i128, HsuError> {
 /// Why there was no train.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
-    /// The unit.
+    /// The unit failed, or its link did.
     #[error("{0}")]
     Hsu(#[from] HsuError),
-    /// It said that it began, and not that it ended.
+    /// The unit reported the beginning of the train, and not its end.
     #[error("the HSU began {wanted} triggers and reported {found} of them; check the serial cable")]
-    NoEnd {
-        /// Asked for.
-        wanted: u32,
-        /// Reported.
-        found: usize,
-    },
+    NoEnd { wanted: u32, found: usize },
 }
 
-/// Has the unit emit `count` triggers with this timing, and receives the frames of the cameras. Returns the triggers on the
-/// host's clock, ns, ascending, and what each camera sent, in their order. Cameras are stopped, whatever happens.
+/// Has the unit emit `count` triggers with this timing, and receives the frames of the cameras. Returns the triggers on
+/// the host's clock, ns, ascending, and what each camera sent, in their order. Cameras are stopped, whatever happens.
 ///
 /// # Errors
 /// [`TrainError`]; a camera that cannot be started is one that sends nothing.

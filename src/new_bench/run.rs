@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The steps of a new bench, in their order: discovery, addresses, packets, pulses, names, the rig's rate, pictures, the
-//! node file.
+//! The steps of a new bench, in their order: discovery, addresses, packets, pulses, names, the rig's rate, pictures,
+//! the node file.
 
 use super::addresses;
 use super::begun::{Begun, begin_file};
@@ -77,7 +77,7 @@ pub fn set_up(
         cameras: Vec::new(),
         away: roles,
         found,
-        told: outside,
+        notes: outside,
         problems: Vec::new(),
     };
     work.addresses(&answers, &everybody, operator)?;
@@ -99,7 +99,8 @@ fn ask_before_pulses(
     let ids: Vec<&str> = open.iter().map(|role| role.id.as_str()).collect();
     let cameras: Vec<String> = open.iter().map(|role| found[role.camera].to_string()).collect();
     Err(Fault::usage(format!(
-        "which of these is which of {} cannot be known: {}\nsay --camera ID=SERIAL for each, or --in-order for the order of \
+        "which of these is which of {} cannot be known: {}\ngive --camera ID=SERIAL for each, or --in-order for the \
+         order of \
          their serial numbers, or run it on a terminal and cover lenses",
         ids.join(", "),
         cameras.join("; ")
@@ -113,7 +114,8 @@ fn no_shared_subnet(roles: &[Role], found: &[Found], interfaces: &[Interface]) -
     let problems: Vec<String> = shared
         .map(|(subnet, one, other)| {
             format!(
-                "{one} and {other} are both in the subnet of {subnet}, and packets for a camera leave by one of them alone: \
+                "{one} and {other} are both in the subnet of {subnet}, and packets for a camera leave by one of them \
+                 alone: \
                  give each port a subnet of its own (`ip address`), then set up again"
             )
         })
@@ -135,11 +137,11 @@ struct Work<'a> {
     packet_bytes: Option<u32>,
     /// Cameras that are open, and have been or will be measured.
     cameras: Vec<BenchCamera>,
-    /// Cameras that are not open: another program has them, or their packets do not arrive. Of these only name and address
-    /// are known.
+    /// Cameras that are not open: another program has them, or their packets do not arrive. Of these only name and
+    /// address are known.
     away: Vec<Role>,
     found: Vec<Found>,
-    told: Vec<String>,
+    notes: Vec<String>,
     problems: Vec<String>,
 }
 
@@ -162,7 +164,7 @@ impl Work<'_> {
             );
             if !operator.agrees(&question) {
                 return Err(Fault::usage(format!(
-                    "{question} say --yes, or set its address with its vendor's program"
+                    "{question} agree with --yes, or set its address with its vendor's program"
                 )));
             }
         }
@@ -191,7 +193,7 @@ impl Work<'_> {
                 Ok(false) => format!("{answer} has another address when its power was off"),
                 Err(note) => note,
             };
-            self.told.push(note);
+            self.notes.push(note);
         }
         Ok(())
     }
@@ -325,7 +327,8 @@ impl Work<'_> {
             };
             if burst.bits_per_s() > *speed as f64 * 1e6 {
                 self.problems.push(format!(
-                    "{name} carries {speed} Mbit/s, and its {cameras} cameras need {:.0}: use faster ports, or more of them",
+                    "{name} carries {speed} Mbit/s, and its {cameras} cameras need {:.0}: use faster ports, or more \
+                     of them",
                     burst.bits_per_s() / 1e6
                 ));
             }
@@ -333,8 +336,8 @@ impl Work<'_> {
         bursts.into_iter().map(|found| found.and_then(|(_, burst, speed)| burst.delay(speed))).collect()
     }
 
-    /// Puts cameras on the heads whose pulses they answered, and has lenses covered where two cameras of one head cannot be
-    /// distinguished otherwise.
+    /// Puts cameras on the heads whose pulses they answered, and has lenses covered where two cameras of one head
+    /// cannot be distinguished otherwise.
     fn names(&mut self, unit: &Unit<'_>, operator: &mut dyn Operator) -> Result<(), String> {
         let head = |bench: &BenchCamera| bench.wired.as_ref().map(|wired| wired.delays.head);
         let open = self.cameras.iter().map(|bench| (bench.role.clone(), head(bench)));
@@ -370,7 +373,7 @@ impl Work<'_> {
                 }
                 _ => {}
             }
-            // A camera that answers no pulse shows no picture; its problems say why.
+            // A camera that answers no pulse shows no picture; its problems state why.
             let dumb = which.iter().any(|place| self.cameras[*place].wired.is_none());
             if dumb || self.options.in_order || !operator.is_there() {
                 continue;
@@ -418,7 +421,7 @@ impl Work<'_> {
             }
         }
         Err(format!(
-            "{id} cannot be told from its neighbour: {LOOKS} times a camera sent no picture at the pulses"
+            "{id} cannot be distinguished from its neighbour: {LOOKS} times a camera sent no picture at the pulses"
         ))
     }
 
@@ -434,7 +437,8 @@ impl Work<'_> {
                 && frames < TRIGGERS as usize
             {
                 bench.problems.push(format!(
-                    "{frames} frames at {count} triggers of {} Hz, expected {TRIGGERS} or more: exposure and readout may take \
+                    "{frames} frames at {count} triggers of {} Hz, expected {TRIGGERS} or more: exposure and readout \
+                     may take \
                      longer than a period, or overlap is off",
                     config.rig.trigger_rate_hz
                 ));
@@ -443,21 +447,21 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// Writes pictures and file.
+    /// Writes the pictures and the node file.
     fn finish(mut self) -> Result<Outcome, Fault> {
         let path = &self.options.path;
         let mut named = Vec::new();
         for bench in &self.cameras {
             let of = |text: &str| format!("camera {}: {text}", bench.role.id);
             self.problems.extend(bench.problems.iter().map(|problem| of(problem)));
-            self.told.extend(bench.told.iter().map(|note| of(note)));
+            self.notes.extend(bench.notes.iter().map(|note| of(note)));
             let mut camera = NamedCamera::of(&bench.role, bench.found.clone(), Some(bench));
             match bench.write_picture(path) {
                 Ok(picture) => camera.picture = picture,
-                Err(problem) => self.told.push(of(&problem)),
+                Err(problem) => self.notes.push(of(&problem)),
             }
             if bench.role.known == Known::InOrder {
-                self.told.push(of("its name is that of the order of serial numbers: look at its picture"));
+                self.notes.push(of("its name is that of the order of serial numbers: look at its picture"));
             }
             named.push(camera);
         }
@@ -469,6 +473,6 @@ impl Work<'_> {
         let text = self.text()?;
         write_whole(path, |file| file.write_all(text.as_bytes()))
             .map_err(|e| Fault::at(path, format!("cannot be written: {e}")))?;
-        Ok(Outcome { file: path.to_owned(), cameras: named, problems: self.problems, told: self.told })
+        Ok(Outcome { file: path.to_owned(), cameras: named, problems: self.problems, notes: self.notes })
     }
 }
