@@ -10,7 +10,9 @@ use std::path::PathBuf;
 /// Write the board's artwork (board.svg to print at scale 1, board.png to look at) and its list of circles
 /// (circles.csv).
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  fourdbody board --board config/board.toml --out board")]
+#[command(after_help = "\
+Example:
+  fourdbody board --board config/board.toml --out board")]
 pub struct Args {
     /// The board file, for instance config/board.toml.
     #[arg(long, value_name = "FILE")]

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody calibration check`: do the devices still stand where they stood when they were calibrated?
 
-use super::failure::{Failure, print, tell_lost};
-use super::number_in;
+use super::failure::{Failure, number_in, print, tell_lost};
 use super::progress::Progress;
 use super::reconstruct::open_source;
 use crate::base::ids::CameraId;
@@ -38,9 +37,9 @@ enum What {
 ///
 /// Exit codes: 4 a device has surely moved what it sees by more than --most-mm: calibrate again.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  fourdbody calibration check sessions/walk-01 --calibration calibration.json"
-)]
+#[command(after_help = "\
+Example:
+  fourdbody calibration check sessions/walk-01 --calibration calibration.json")]
 struct Check {
     /// A session, or a directory of CAMERA/INDEX.png images.
     session: PathBuf,

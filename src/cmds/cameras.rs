@@ -11,8 +11,11 @@ use crate::camera::CameraListing;
 /// state of cameras.
 #[derive(clap::Args)]
 #[command(args_conflicts_with_subcommands = true)]
-#[command(after_help = "Examples:\n  fourdbody cameras --json\n  fourdbody cameras setup --config \
-        /etc/fourdbody/node.toml\n  fourdbody cameras dump --config /etc/fourdbody/node.toml")]
+#[command(after_help = "\
+Examples:
+  fourdbody cameras --json
+  fourdbody cameras setup --config /etc/fourdbody/node.toml
+  fourdbody cameras dump --config /etc/fourdbody/node.toml")]
 pub struct Args {
     #[command(subcommand)]
     about: Option<About>,

@@ -21,10 +21,9 @@ use tokio::signal::unix::SignalKind;
 /// No trigger is emitted unless every camera of every node is armed and verified. Ctrl-C ends the train after
 /// the current trigger and keeps what was recorded. Exit code 3 when frames are missing (each has a gap record).
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  fourdbody capture --nodes http://127.0.0.1:7401,http://127.0.0.1:7402 --duration 10 \
-        --name walk-01"
-)]
+#[command(after_help = "\
+Example:
+  fourdbody capture --nodes http://127.0.0.1:7401,http://127.0.0.1:7402 --duration 10 --name walk-01")]
 pub struct Args {
     #[command(flatten)]
     connect: Connect,

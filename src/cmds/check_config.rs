@@ -9,7 +9,9 @@ use std::path::{Path, PathBuf};
 
 /// Validate rig, node and worker files; every problem is printed with its key path.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  fourdbody check-config config/rig.toml config/node-a.toml")]
+#[command(after_help = "\
+Example:
+  fourdbody check-config config/rig.toml config/node-a.toml")]
 pub struct Args {
     /// Rig, node or worker files; a file with a `node` key is a node file, one with a `results` key a worker file.
     #[arg(required = true)]

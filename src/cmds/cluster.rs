@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody cluster`: a session reconstructed by the machines of a Slurm cluster.
 
-use super::failure::{Failure, print};
-use super::number_in;
+use super::failure::{Failure, number_in, print};
 use super::reconstruct::{self, Opened, What};
 use crate::base::{Exit, Scratch, regular, write_whole};
 use crate::batch::collect_shards::Shards;
@@ -21,10 +20,10 @@ const MOST_TASKS: u64 = 1001;
 
 /// Spread a reconstruction over the machines of a Slurm cluster.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  fourdbody cluster submit sessions/walk-01 --calibration calibration.json --out \
-        clouds/walk-01 --hours 1\n  fourdbody cluster status clouds/walk-01"
-)]
+#[command(after_help = "\
+Example:
+  fourdbody cluster submit sessions/walk-01 --calibration calibration.json --out clouds/walk-01 --hours 1
+  fourdbody cluster status clouds/walk-01")]
 pub struct Args {
     #[command(subcommand)]
     what: ClusterCommand,
@@ -41,10 +40,10 @@ enum ClusterCommand {
 /// The tasks' time and memory follow from a measurement. Everything that is submitted is in OUT/cluster, to be read.
 /// Shards that are finished already are left out, so that what has failed is submitted again by the same command.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  fourdbody cluster submit sessions/walk-01 --calibration calibration.json --out \
-        clouds/walk-01 --hours 1 --partition short"
-)]
+#[command(after_help = "\
+Example:
+  fourdbody cluster submit sessions/walk-01 --calibration calibration.json --out clouds/walk-01 --hours 1 \
+--partition short")]
 struct SubmitArgs {
     #[command(flatten)]
     what: What,
@@ -102,7 +101,9 @@ struct SubmitArgs {
 /// Exit codes: 0 waiting, running, or done; 1 something has failed, or Slurm does not answer; 3 and 4 done, with frames
 /// that are missing or damaged.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  fourdbody cluster status clouds/walk-01")]
+#[command(after_help = "\
+Example:
+  fourdbody cluster status clouds/walk-01")]
 struct StatusArgs {
     /// The directory that was submitted as --out.
     out: PathBuf,
@@ -333,8 +334,7 @@ fn print_job(args: &SubmitArgs, job: &Job) {
     let sizing = &job.sizing;
     println!(
         "{} frame sets in {} tasks of at most {}; each {} processors, {} MiB, {:.0} min expected, {} min at most \
-         ({:.3} s of a \
-         processor a frame set)",
+         ({:.3} s of a processor a frame set)",
         job.work.triggers[1] - job.work.triggers[0],
         sizing.tasks,
         sizing.frame_sets_per_task,

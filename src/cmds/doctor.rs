@@ -16,9 +16,10 @@ use std::time::Duration;
 /// Limits and capabilities are those of the user who runs this: run it as the node's user. Exit codes: 0 fit
 /// (perhaps with warnings), 1 the host is unfit, 2 configuration, 5 a device failed.
 #[derive(clap::Args)]
-#[command(after_help = "Example, with the user and the rights of the service:\n  sudo prlimit --rtprio=70 \
-        --memlock=unlimited setpriv --reuid=fourdbody --regid=fourdbody --init-groups \\\n    --inh-caps=+net_raw \
-        --ambient-caps=+net_raw fourdbody doctor --config /etc/fourdbody/node.toml --disk-seconds 10")]
+#[command(after_help = "\
+Example, with the user and the rights of the service:
+  sudo prlimit --rtprio=70 --memlock=unlimited setpriv --reuid=fourdbody --regid=fourdbody --init-groups \\
+    --inh-caps=+net_raw --ambient-caps=+net_raw fourdbody doctor --config /etc/fourdbody/node.toml --disk-seconds 10")]
 pub struct Args {
     /// The node file; without it only the host is examined, for four cameras of 1920 x 1200 at 120 Hz.
     #[arg(long, value_name = "FILE")]

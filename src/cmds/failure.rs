@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What commands print alike: files that were written, what of a session or result is missing, and why a command
-//! failed.
+//! What commands have in common: number arguments, results as JSON or text, and failures.
 
 pub use crate::base::Fault as Failure;
 
@@ -9,6 +8,7 @@ use crate::data::LostPart;
 use serde_json::json;
 use std::fmt;
 use std::io::ErrorKind;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// The failure to read a file: a path without one is a mistake of usage, one that cannot be read is corrupt data.
@@ -23,6 +23,17 @@ pub(super) fn unreadable(path: &Path, error: impl fmt::Display) -> Failure {
 pub(super) fn unusable_clouds(directory: &Path, error: impl fmt::Display) -> Failure {
     let some = ["phases", "clouds", "merged"].iter().any(|folder| directory.join(folder).is_dir());
     if some { Failure::corrupt(error) } else { Failure::usage(error) }
+}
+
+/// A parser of numbers within a range, for clap; `expected` describes them where an argument is refused.
+pub(super) fn number_in(
+    range: RangeInclusive<f64>,
+    expected: &'static str,
+) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text| {
+        let number = text.parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| format!("expected {expected}, found {text:?}"))
+    }
 }
 
 /// Prints a command's result: as one JSON value (`--json`), or as text for people.

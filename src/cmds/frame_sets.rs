@@ -10,9 +10,9 @@ use std::path::PathBuf;
 ///
 /// A node starts it for its console; `crates/node/src/play/process.rs` has the bytes.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  echo 0 | fourdbody frame-sets --rate-hz 120 --points 40000 results/walk-01 | wc --bytes"
-)]
+#[command(after_help = "\
+Example:
+  echo 0 | fourdbody frame-sets --rate-hz 120 --points 40000 results/walk-01 | wc --bytes")]
 pub struct Args {
     /// The directory that `fourdbody reconstruct` wrote.
     result: PathBuf,

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! One file per command of the command line: its arguments, and what it prints.
 //!
-//! Results go to standard output, diagnostics to standard error. Everything a command does lives in the
-//! library's other modules; here is only the talking.
+//! Results go to standard output, diagnostics to standard error. The work of a command is done by the other modules of
+//! the library; here are only its arguments and its output.
 
 mod board;
 mod calibrate;
@@ -39,16 +39,3 @@ mod worker;
 
 pub use cli::{Cli, Command};
 pub use failure::Failure;
-
-use std::ops::RangeInclusive;
-
-/// A parser of numbers within a range, for clap; `expected` describes them where an argument is refused.
-fn number_in(
-    range: RangeInclusive<f64>,
-    expected: &'static str,
-) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
-    move |text| {
-        let number = text.parse().ok().filter(|number| range.contains(number));
-        number.ok_or_else(|| format!("expected {expected}, found {text:?}"))
-    }
-}

@@ -19,7 +19,9 @@ use std::time::{Duration, Instant};
 
 /// Run the daemon of one acquisition PC: cameras, HSU link, recordings, control API.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  fourdbody node --config config/node-a.toml")]
+#[command(after_help = "\
+Example:
+  fourdbody node --config config/node-a.toml")]
 pub struct Args {
     /// The node file, for instance config/node-a.toml.
     #[arg(long, value_name = "FILE", required_unless_present = "print_openapi")]

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody pattern`: the images to project.
 
-use super::failure::{Failure, print_files};
-use super::number_in;
+use super::failure::{Failure, number_in, print_files};
 use crate::base::Exit;
 use crate::base::image::{Mono8, write_png_grey};
 use crate::config::Rig;
@@ -10,10 +9,10 @@ use std::path::PathBuf;
 
 /// Write the image that each head projects, as PNG: OUT/HEAD.png.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  fourdbody pattern --rig config/rig.toml --out pattern\n  fourdbody pattern --rig \
-        config/rig.toml --out pattern --gamma 2.2"
-)]
+#[command(after_help = "\
+Example:
+  fourdbody pattern --rig config/rig.toml --out pattern
+  fourdbody pattern --rig config/rig.toml --out pattern --gamma 2.2")]
 pub struct Args {
     /// The rig file, for instance config/rig.toml.
     #[arg(long, value_name = "FILE")]

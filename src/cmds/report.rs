@@ -15,12 +15,14 @@ use std::path::{Path, PathBuf};
 /// The page is one HTML file that needs no network. Checksums are not computed: see `fourdbody verify`. With --play it
 /// has all frame sets of --clouds and plays them.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Exit code 0: the page has all of it; 2: there is no recording; 3: files of --clouds are missing, \
-        and the page names them; 4: a recording, or all of it, cannot be read, and the page states so, or a file of \
-        --clouds is of something else.\n\nExample:\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 \
-        --out walk-01.html\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --play --out walk-01.html"
-)]
+#[command(after_help = "\
+Exit code 0: the page has all of it; 2: there is no recording; 3: files of --clouds are missing, and the page names
+them; 4: a recording, or all of it, cannot be read, and the page states so, or a file of --clouds is of something
+else.
+
+Example:
+  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --out walk-01.html
+  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --play --out walk-01.html")]
 pub struct Args {
     /// A session, a recording of one node, or a single segment.
     session: PathBuf,

@@ -10,7 +10,9 @@ use crate::telemetry::Grade;
 
 /// Show the health of the nodes: cameras, HSU link, disk, session.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  fourdbody status --nodes http://127.0.0.1:7401,http://127.0.0.1:7402")]
+#[command(after_help = "\
+Example:
+  fourdbody status --nodes http://127.0.0.1:7401,http://127.0.0.1:7402")]
 pub struct Args {
     #[command(flatten)]
     connect: Connect,

@@ -13,13 +13,14 @@ use std::path::{Path, PathBuf};
 /// The node keeps names, roles and hashes (api.tokens in the node file); the secret lies only in the file that is given
 /// to its user. A running node notices changes within a second.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example, for the node of the service:\n  sudo -u fourdbody fourdbody token new --tokens \
-        /var/lib/fourdbody/tokens --role operate --name anna --file /var/lib/fourdbody/anna.token\n  fourdbody \
-        status --nodes https://node-a.lab:7401 --token-file anna.token\n  sudo -u fourdbody fourdbody token new \
-        --tokens /var/lib/fourdbody/tokens --role operate --name anna --file /var/lib/fourdbody/anna.token \
-        --replace\n  sudo -u fourdbody fourdbody token revoke --tokens /var/lib/fourdbody/tokens --name anna"
-)]
+#[command(after_help = "\
+Example, for the node of the service:
+  sudo -u fourdbody fourdbody token new --tokens /var/lib/fourdbody/tokens --role operate --name anna --file \
+/var/lib/fourdbody/anna.token
+  fourdbody status --nodes https://node-a.lab:7401 --token-file anna.token
+  sudo -u fourdbody fourdbody token new --tokens /var/lib/fourdbody/tokens --role operate --name anna --file \
+/var/lib/fourdbody/anna.token --replace
+  sudo -u fourdbody fourdbody token revoke --tokens /var/lib/fourdbody/tokens --name anna")]
 pub struct Args {
     #[command(subcommand)]
     action: Action,

@@ -12,12 +12,13 @@ use std::path::PathBuf;
 
 /// Draw a cloud as a PNG picture, from one side or several side by side.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Each file is held against its name, its session and summary.json. Exit codes: 3, the files of a \
-        camera are missing; 4, a file is damaged, \
-or of something else, or there is nothing to draw.\n\nExamples:\n  fourdbody view walk-01 --trigger 12 --out \
-body.png --sides 4\n  fourdbody view walk-01/phases/h0_up_000012.phase --out h0_up.png"
-)]
+#[command(after_help = "\
+Each file is held against its name, its session and summary.json. Exit codes: 3, the files of a camera are missing;
+4, a file is damaged, or of something else, or there is nothing to draw.
+
+Examples:
+  fourdbody view walk-01 --trigger 12 --out body.png --sides 4
+  fourdbody view walk-01/phases/h0_up_000012.phase --out h0_up.png")]
 pub struct Args {
     /// What `fourdbody reconstruct` wrote: its directory, of which the merged cloud of a trigger is drawn, or one file
     /// of it (.ply, .phase).

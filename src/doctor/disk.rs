@@ -372,7 +372,7 @@ fn judge_speed(facts: &DiskFacts, load: &Load) -> Vec<Finding> {
 #[cfg(test)]
 mod tests {
     use super::{DiskFacts, SCRATCH, Speed, has_mount_option, judge, remove_leftovers};
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
     use crate::doctor::load::Load;
     use std::path::Path;
     use std::time::Duration;

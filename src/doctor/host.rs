@@ -256,7 +256,7 @@ fn judge_processors(facts: &HostFacts, load: &Load) -> [Finding; 3] {
 mod tests {
     use super::{HostFacts, judge};
     use crate::config::SocketMode;
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
     use crate::doctor::load::Load;
 
     fn good() -> HostFacts {

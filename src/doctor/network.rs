@@ -166,7 +166,7 @@ fn judge_interface(interface: &Interface, bits_per_s: f64, cameras: usize) -> Fi
 mod tests {
     use super::{CameraPath, Interface, Route, find_route, judge};
     use crate::base::ids::CameraId;
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
     use crate::doctor::load::Load;
     use std::net::Ipv4Addr;
 

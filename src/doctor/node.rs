@@ -86,7 +86,7 @@ pub fn judge_status(status: &NodeStatus) -> Vec<Finding> {
 #[cfg(test)]
 mod tests {
     use super::{PortUse, judge_port};
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
 
     #[test]
     fn another_program_on_the_port_is_a_failure() {

@@ -60,7 +60,7 @@ pub fn judge(filters: &[Filter], all: &[Interface]) -> Vec<Finding> {
 #[cfg(test)]
 mod tests {
     use super::{gather, judge};
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
     use crate::network::Interface;
     use std::path::Path;
 

@@ -39,7 +39,7 @@ pub fn judge(all: &[Interface], used: &[Interface], answers: &[Answer]) -> Vec<F
 #[cfg(test)]
 mod tests {
     use super::judge;
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
     use crate::network::{Answer, Interface, Mac};
 
     fn interface(name: &str, subnet: &str) -> Interface {

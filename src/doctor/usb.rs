@@ -48,8 +48,7 @@ pub fn judge(facts: &UsbFacts) -> Option<Finding> {
         None => (Grade::Warning, "cannot be read".to_owned()),
     };
     let advice = "`echo 1000 > /sys/module/usbcore/parameters/usbfs_memory_mb`, for good as \
-        usbcore.usbfs_memory_mb=1000 on \
-                  the kernel's command line";
+        usbcore.usbfs_memory_mb=1000 on the kernel's command line";
     let expected = format!("at least {needed_mb} MiB for {cameras} USB3 cameras");
     Some(Check::host("usbfs memory").graded(grade, found, expected, advice))
 }
@@ -57,7 +56,7 @@ pub fn judge(facts: &UsbFacts) -> Option<Finding> {
 #[cfg(test)]
 mod tests {
     use super::{UsbFacts, judge, memory_mb};
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
 
     #[test]
     fn the_kernels_own_limit_is_too_low_for_two_cameras() {

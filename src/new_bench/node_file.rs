@@ -52,8 +52,7 @@ pub fn begin(text: &str, given: &Given) -> Result<String, String> {
     let source = file.get("trigger").and_then(|trigger| trigger.get("source")).and_then(Item::as_str);
     if source == Some("action") {
         return Err("trigger.source is \"action\": expected an HSU, by whose pulses lines are found, and action \
-            commands \
-                    come by none; write the cameras' ids and addresses into the file, and try them by a session"
+            commands come by none; write the cameras' ids and addresses into the file, and try them by a session"
             .to_owned());
     }
     let path = |path: &PathBuf| path.display().to_string();

@@ -84,8 +84,7 @@ pub fn assign(
             [camera] => take(&mut roles, id, *camera, Known::Said),
             [] => unmet.push(format!(
                 "--camera {id}={who}: no camera with this serial number, address, MAC or name answers; check its \
-                 power and \
-                 cable"
+                 power and cable"
             )),
             several => unmet.push(format!(
                 "--camera {id}={who}: {} cameras are known by that; give the MAC or the address of one: {}",
@@ -147,8 +146,7 @@ pub fn by_heads(roles: &[Role], heads: &[Option<usize>]) -> Result<Vec<Role>, Ve
         if let Some(head) = head.filter(|head| !free(role) && *head != role.head) {
             problems.push(format!(
                 "{} takes its frames at the pulse of head number {head}, expected number {}: exchange the trigger \
-                 wires, \
-                 or correct --camera",
+                 wires, or correct --camera",
                 role.id, role.head
             ));
         }

@@ -100,8 +100,7 @@ fn ask_before_pulses(
     let cameras: Vec<String> = open.iter().map(|role| found[role.camera].to_string()).collect();
     Err(Fault::usage(format!(
         "which of these is which of {} cannot be known: {}\ngive --camera ID=SERIAL for each, or --in-order for the \
-         order of \
-         their serial numbers, or run it on a terminal and cover lenses",
+         order of their serial numbers, or run it on a terminal and cover lenses",
         ids.join(", "),
         cameras.join("; ")
     )))
@@ -115,8 +114,7 @@ fn no_shared_subnet(roles: &[Role], found: &[Found], interfaces: &[Interface]) -
         .map(|(subnet, one, other)| {
             format!(
                 "{one} and {other} are both in the subnet of {subnet}, and packets for a camera leave by one of them \
-                 alone: \
-                 give each port a subnet of its own (`ip address`), then set up again"
+                 alone: give each port a subnet of its own (`ip address`), then set up again"
             )
         })
         .collect();
@@ -438,8 +436,7 @@ impl Work<'_> {
             {
                 bench.problems.push(format!(
                     "{frames} frames at {count} triggers of {} Hz, expected {TRIGGERS} or more: exposure and readout \
-                     may take \
-                     longer than a period, or overlap is off",
+                     may take longer than a period, or overlap is off",
                     config.rig.trigger_rate_hz
                 ));
             }

@@ -46,8 +46,7 @@ pub fn left_out(
         .map(|answer| {
             format!(
                 "{answer} answers on {}, in a wrong subnet and outside --network {network}: where it belongs to this \
-                 bench, \
-                 give --camera ID={}",
+                 bench, give --camera ID={}",
                 answer.interface, answer.mac
             )
         })
