@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Rendered sequences on disk, and their replay at full rate.
 //!
-//! `DIR/frames/CAMERA.mono8` holds all images of one camera one after the other; `DIR/manifest.json` says what
+//! `DIR/frames/CAMERA.mono8` holds all images of one camera one after the other; `DIR/manifest.json` lists what
 //! they are and is written last, so that a directory with a manifest is complete.
 
 use crate::images::ImageSource;
@@ -22,7 +22,6 @@ pub struct Manifest {
     version: u32,
     /// SHA-256 of everything that the images depend on.
     pub inputs_sha256: String,
-    /// The scenario's name.
     pub scenario: String,
     /// Number of images per camera.
     pub instants: usize,
@@ -38,9 +37,7 @@ pub struct Manifest {
 pub struct CachedCamera {
     /// Its name in the rig.
     pub id: CameraId,
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
 }
 
@@ -49,16 +46,10 @@ pub struct CachedCamera {
 pub enum CacheError {
     /// A file could not be read or written.
     #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     /// The directory is not a cache, or not this one's.
     #[error("{path}: {reason}; render it again with `fourdbody-sim render`")]
     Invalid {
-        /// The file.
         path: PathBuf,
         /// What was found, what was expected.
         reason: String,
@@ -93,7 +84,7 @@ impl Manifest {
         directory.join("manifest.json")
     }
 
-    /// Reads a directory's manifest.
+    /// Reads the manifest of a rendered sequence's directory.
     pub fn load(directory: &Path) -> Result<Self, CacheError> {
         let path = Self::path(directory);
         let bytes = std::fs::read(&path).map_err(|source| CacheError::Io { path: path.clone(), source })?;
@@ -174,7 +165,7 @@ impl CachedImages {
 }
 
 /// Which image of a sequence is shown at an instant: before the first, the first; after the last, as
-/// `after_end` says.
+/// `after_end` defines.
 pub fn image_number(instant: i64, instants: usize, after_end: AfterEnd) -> usize {
     let instant = usize::try_from(instant.max(0)).unwrap_or(0);
     match after_end {

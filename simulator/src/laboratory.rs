@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// What to set up.
+/// The options of a laboratory: rig, addresses, cameras and faults.
 #[derive(Debug, Clone)]
 pub struct LaboratoryOptions {
     /// The rig file's text; it is copied beside the node files.
@@ -37,7 +37,6 @@ pub struct LaboratoryOptions {
     pub reserve_mib: u64,
     /// Size of the nodes' segments, MiB.
     pub segment_mib: u64,
-    /// Frame buffers per camera.
     pub buffers_per_camera: usize,
     /// Block id of the first frame of every acquisition: 1, unless a test wants the ids to wrap early.
     pub first_block_id: u64,
@@ -51,7 +50,7 @@ pub struct LaboratoryOptions {
     pub makes: BTreeMap<String, Arc<Make>>,
     /// Published descriptions that cameras are behind, by the cameras' names.
     pub described: BTreeMap<String, Arc<Described>>,
-    /// Node files say what such cameras need, as somebody writes it who knows them; else tests or commands must.
+    /// Node files have what such cameras need, as a user writes it who knows them; else tests or commands must.
     pub make_words: bool,
     /// Faults of the cameras; what was injected is written to `faults.jsonl` in the run directory.
     pub faults: Option<FaultPlan>,
@@ -120,18 +119,12 @@ pub enum LaboratoryError {
     Rig(String),
     /// A file, link or pty could not be made.
     #[error("{what}: {source}")]
-    Io {
-        /// What was being made.
-        what: String,
-        /// What the system said.
-        source: io::Error,
-    },
+    Io { what: String, source: io::Error },
     /// A camera did not start.
     #[error("camera {id}: {source}")]
     Camera {
         /// Its name in the rig.
         id: CameraId,
-        /// Why.
         source: CameraError,
     },
 }
@@ -139,9 +132,7 @@ pub enum LaboratoryError {
 /// One node's configuration, ready to be used.
 #[derive(Debug, Clone)]
 pub struct NodeFile {
-    /// The node.
     pub node: NodeId,
-    /// Its file.
     pub path: PathBuf,
     /// The port of its API.
     pub port: u16,
@@ -149,9 +140,7 @@ pub struct NodeFile {
 
 /// Cameras and HSU, running until dropped.
 pub struct Laboratory {
-    /// The rig.
     pub rig: Rig,
-    /// In the rig's order.
     pub cameras: Vec<SimulatedCamera>,
     setups: Vec<CameraOptions>,
     /// With one link per node, in the order of the nodes' names.
@@ -212,7 +201,7 @@ impl Laboratory {
                 truth: Arc::clone(truth),
             });
             if setup.faults.is_some() {
-                // Refused is what the plan refuses: a camera's memory must hold what is asked for late.
+                // Refused is what the plan refuses: a camera's memory must hold what is requested late.
                 setup.resend_frames = FAULTY_RESEND_FRAMES;
             }
             setups.push(setup.clone());
@@ -251,7 +240,7 @@ impl Laboratory {
     /// Plugs a camera in again: power-on settings, block ids and clock from the beginning.
     pub fn plug(&mut self, camera: usize) -> Result<(), CameraError> {
         let setup = self.setups[camera].clone();
-        // Triggers that came while nobody was there.
+        // Triggers that came while no node was connected.
         setup.triggers.try_iter().for_each(drop);
         self.cameras[camera] = SimulatedCamera::start(setup)?;
         Ok(())
@@ -304,7 +293,7 @@ fn disk_dir(options: &LaboratoryOptions, node: &NodeId) -> PathBuf {
     options.run_dir.join(format!("disk-{node}"))
 }
 
-/// Where a node records.
+/// The directory in which a node records its sessions.
 fn sessions_dir(options: &LaboratoryOptions, node: &NodeId) -> PathBuf {
     match &options.disk {
         Some(plan) if plan.concerns(node.as_str()) => disk_dir(options, node),
@@ -412,5 +401,5 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[Nod
     text
 }
 
-/// What a node's file says of the simulator's own cameras; the exposure is the rig's.
+/// The entries of a node file for the simulator's own cameras; the exposure is the rig's.
 const OWN_WORDS: &str = "trigger_line = \"Line0\"\n";

@@ -3,6 +3,8 @@
 //!
 //! Knows the product's library (rig, geometry, pattern, calibration file); the product never knows it.
 
+#![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]
+
 /// Rendered sequences on disk, and their replay.
 /// Rendered sequences on disk, and their replay.
 pub mod cache;
@@ -19,18 +21,18 @@ pub mod images;
 pub mod laboratory;
 /// From the projector's panel to pixel values.
 pub mod optics;
-/// Seeded randomness by hashing.
+/// Seeded random numbers, each a hash of where it is used.
 pub mod random;
-/// Writing `rig.toml`.
+/// Writes a rig as the text of `rig.toml`.
 pub mod rig_file;
-/// Scenario files.
+/// Scenario files: subject, motion, light and optics of a rendered sequence.
 pub mod scenario;
 /// What stands in the light.
 pub mod scene;
 /// A whole scenario to a cache directory.
 pub mod sequence;
-/// The rig's true geometry.
+/// The true geometry of a rig's cameras and projectors.
 pub mod true_rig;
-/// Ground truth files.
+/// Ground truth files: what each pixel really sees.
 pub mod truth;
 pub mod wire;

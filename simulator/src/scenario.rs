@@ -18,13 +18,9 @@ use std::path::{Path, PathBuf};
 /// What a run of the simulated world looks like.
 #[derive(Debug, Clone, Serialize)]
 pub struct Scenario {
-    /// Names the run.
     pub name: String,
-    /// Determines everything random.
     pub seed: u64,
-    /// The rig file.
     pub rig: PathBuf,
-    /// Number of different instants.
     pub instants: usize,
     /// Instants per second of the subject's time; the rig's trigger rate when absent.
     pub rate_hz: Option<f64>,
@@ -50,17 +46,14 @@ pub struct Scenario {
 pub enum AfterEnd {
     /// Backwards to the first, and again: movement without a jump.
     PingPong,
-    /// The first again.
     Wrap,
 }
 
-/// What the projectors show.
+/// The image that the projectors show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Light {
-    /// The rig's pattern.
     Fringes,
-    /// Full light everywhere.
     White,
     /// Nothing but the panel's black level.
     Dark,
@@ -70,9 +63,7 @@ pub enum Light {
 #[derive(Debug, Clone, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Subject {
-    /// Our articulated figure.
     Mannequin {
-        /// What it does.
         motion: Motion,
         /// Length of one repetition, s.
         period_s: f64,
@@ -84,7 +75,6 @@ pub enum Subject {
         heading_deg: f64,
         /// How tall it stands, m: all of it is larger or smaller.
         height_m: f64,
-        /// Resolution of its surface.
         cell_mm: f64,
         /// Relative amplitude of the skin's texture.
         texture: f64,
@@ -100,7 +90,7 @@ pub enum Subject {
         poses: Vec<FlatPose>,
         /// Instants that each pose lasts.
         hold: usize,
-        /// Turns about the world's vertical axis from each pose on, where the pose does not say otherwise.
+        /// Turns about the world's vertical axis from each pose on, where the pose has no turn of its own.
         rpm: f64,
         /// Albedo of the circles relative to the rest.
         black: f64,
@@ -109,20 +99,14 @@ pub enum Subject {
     },
     /// A body without limbs, of known girths.
     Torso(Torso),
-    /// A ball.
     Sphere {
-        /// m.
         centre_m: [f64; 3],
-        /// m.
         radius_m: f64,
     },
-    /// An upright cylinder.
     Cylinder {
         /// Centre of the lower end, m.
         foot_m: [f64; 3],
-        /// m.
         radius_m: f64,
-        /// m.
         height_m: f64,
     },
     /// A mesh file, or a directory of them played one after the other.
@@ -137,7 +121,6 @@ pub enum Subject {
 /// How a flat thing stands.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FlatPose {
-    /// Centre, m.
     pub centre_m: [f64; 3],
     /// Which way its face looks: from world +x towards +y.
     pub azimuth_deg: f64,
@@ -145,7 +128,7 @@ pub struct FlatPose {
     pub tilt_deg: f64,
     /// Turned about its own normal.
     pub roll_deg: f64,
-    /// Turns about the world's vertical axis from then on; absent: as the subject says.
+    /// Turns about the world's vertical axis from then on; absent: the subject's own.
     pub rpm: Option<f64>,
 }
 
@@ -181,9 +164,10 @@ pub struct Jitter {
     pub projector_distortion: [f64; 2],
     /// Of k1 and k2 about their means, as a share.
     pub distortion: f64,
-    /// Of p1 and p2.
+    /// Standard deviation of the lens's tangential coefficients p1 and p2.
     pub tangential: f64,
-    /// By how much each device has turned since it was calibrated, about an axis by lot: standard deviation of the angle.
+    /// By how much each device has turned since it was calibrated, about an axis by lot: standard deviation of the
+    /// angle.
     pub drift_deg: f64,
 }
 
@@ -214,9 +198,7 @@ pub struct Optics {
     pub cross_talk: f64,
     /// Room light on everything, as a share of `exposure_dn`.
     pub ambient: f64,
-    /// Floor, z = 0.
     pub floor_albedo: f64,
-    /// Curtain all around.
     pub curtain_albedo: f64,
     /// Distance of the curtain from the world's vertical axis, m.
     pub curtain_radius_m: f64,
@@ -228,13 +210,11 @@ pub struct Optics {
     pub camera_defocus: f64,
     /// Loss of light in the sensor's corner.
     pub vignetting: f64,
-    /// Photoelectrons per pixel value.
     pub electrons_per_dn: f64,
     /// Standard deviation, in pixel values.
     pub read_noise_dn: f64,
     /// Standard deviation of the pixels' sensitivity, as a share.
     pub prnu: f64,
-    /// Pixel value of darkness.
     pub offset_dn: f64,
     /// Rays along each side of a pixel where depth or albedo jumps.
     pub edge_samples: usize,

@@ -22,9 +22,10 @@ use std::path::{Path, PathBuf};
 pub struct Changes {
     /// A mesh file or directory in place of the scenario's subject.
     pub mesh: Option<PathBuf>,
-    /// Another number of instants.
+    /// Replaces the scenario's number of instants.
     pub instants: Option<usize>,
-    /// Another marker than the rig's. The exposure is changed with it, so that the other fringes stay as bright as they are.
+    /// Another marker than the rig's. The exposure is changed with it, so that the other fringes stay as bright as they
+    /// are.
     pub marker: Option<Marker>,
     /// Divide the resolution of cameras and panels by this (0 and 1: do not).
     pub size_divisor: usize,
@@ -36,20 +37,12 @@ pub enum RenderError {
     /// The scenario or the rig.
     #[error("{0}")]
     Config(ConfigError),
-    /// The subject's mesh.
     #[error("{0}")]
     Mesh(#[from] mesh_file::MeshError),
-    /// The cache.
     #[error("{0}")]
     Cache(#[from] CacheError),
-    /// Another file.
     #[error("{path}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     /// The values are valid, but do not fit together.
     #[error("{0}")]
     Unfit(String),
@@ -63,13 +56,11 @@ impl From<ConfigError> for RenderError {
 
 /// A scenario, ready to be rendered.
 pub struct Run {
-    /// The scenario, changes applied.
     pub scenario: Scenario,
     /// The rig, at the resolution rendered.
     pub rig: Rig,
-    /// The true geometry.
     pub calibration: Calibration,
-    /// What the rig's calibration says: the same, unless devices have turned since.
+    /// The calibration of the rig: the same, unless devices have turned since.
     stated: Calibration,
     stage: Stage,
     inputs_sha256: String,
@@ -182,7 +173,7 @@ impl Run {
         manifest.is_some_and(|manifest| complete(&manifest))
     }
 
-    /// Renders everything into the directory, unless it is there already; says whether it rendered. `progress`
+    /// Renders everything into the directory, unless it is there already; returns whether it rendered. `progress`
     /// hears of every finished frame: done, total.
     pub fn render(
         &self,

@@ -17,10 +17,10 @@ use std::path::{Path, PathBuf};
     after_help = "Example:\n  fourdbody-sim compare-rig --found calibration.json --truth target/frames/calibration.json --aligned aligned.json"
 )]
 pub struct Args {
-    /// The calibration to judge.
+    /// The calibration that is compared with the truth.
     #[arg(long, value_name = "FILE")]
     found: PathBuf,
-    /// The true geometry.
+    /// The calibration file with the true geometry.
     #[arg(long, value_name = "FILE")]
     truth: PathBuf,
     /// Where to write the calibration in the true world.
@@ -31,7 +31,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let load = |path: &Path| Calibration::load(path).map_err(|e| Failure::new(Exit::Usage, e));
     let (found, truth) = (load(&args.found)?, load(&args.truth)?);

@@ -18,21 +18,20 @@ pub struct Args {
     /// A directory that `render` wrote.
     #[arg(long)]
     frames: PathBuf,
-    /// Where the images go.
+    /// The directory in which the images are written.
     #[arg(long)]
     out: PathBuf,
     /// Only these instants: A..B, B not included.
     #[arg(long)]
     instants: Option<String>,
-    /// Standard deviation of noise that is added to every pixel, DN: how much does a result hang on it?
+    /// Standard deviation of noise that is added to every pixel, DN: how much does a result depend on it?
     #[arg(long, default_value_t = 0.0)]
     noise_dn: f32,
-    /// Of the noise.
+    /// The seed of the random noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let failed = |e: CacheError| Failure::new(Exit::Failure, e);
     let manifest = Manifest::load(&args.frames).map_err(failed)?;

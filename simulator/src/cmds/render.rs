@@ -17,10 +17,10 @@ use std::time::{Duration, Instant};
     after_help = "Example:\n  fourdbody-sim render --scenario config/scenarios/demo.toml --out target/demo/frames"
 )]
 pub struct Args {
-    /// The scenario.
+    /// The scenario file to render, TOML.
     #[arg(long)]
     scenario: PathBuf,
-    /// Where the frames go.
+    /// The directory in which the frames are written.
     #[arg(long)]
     out: PathBuf,
     /// A mesh (OBJ, PLY) or a directory of them in place of the scenario's subject.
@@ -40,7 +40,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let changes = Changes {
         mesh: args.mesh.clone(),

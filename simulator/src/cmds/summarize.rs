@@ -15,7 +15,7 @@ pub struct Args {
     /// The scenario, for its seed.
     #[arg(long)]
     scenario: PathBuf,
-    /// Triggers per second.
+    /// The trigger rate, triggers per second.
     #[arg(long)]
     rate_hz: f64,
     /// What `fourdbody capture --json` printed.
@@ -30,12 +30,11 @@ pub struct Args {
     /// Full hash of the commit.
     #[arg(long)]
     commit: String,
-    /// The file to write.
+    /// The JSON file to write, with all figures.
     #[arg(long)]
     out: PathBuf,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let scenario = crate::scenario::Scenario::load(&args.scenario)?;
     let capture = read(&args.capture)?;

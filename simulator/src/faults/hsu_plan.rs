@@ -20,7 +20,7 @@ pub enum HsuKind {
 }
 
 impl HsuKind {
-    /// All kinds.
+    /// All kinds of faults of the HSU and its link.
     pub const ALL: [Self; 3] = [Self::LinkSilent, Self::LinkUnplugged, Self::HsuRestart];
 
     /// The kind of this name.
@@ -42,11 +42,9 @@ impl fmt::Display for HsuKind {
 /// One fault at one trigger.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HsuFault {
-    /// What happens.
     pub kind: HsuKind,
     /// To the line of which node; `None`: chance decides, or it is the unit itself.
     pub node: Option<String>,
-    /// For how long.
     pub lasts: Duration,
 }
 
@@ -57,7 +55,6 @@ pub struct HsuPlan {
     pub line: LineFaults,
     /// Probability per trigger, by kind.
     pub probability: BTreeMap<HsuKind, f64>,
-    /// Faults at stated triggers.
     pub named: Vec<(i64, HsuFault)>,
     /// No fault by chance before this trigger.
     pub first_trigger: i64,

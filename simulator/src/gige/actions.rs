@@ -13,22 +13,19 @@ use std::time::{Duration, Instant};
 /// What the network makes of an action command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ActionFate {
-    /// It arrives.
     Arrives,
-    /// It does not.
     Lost,
-    /// It arrives twice.
     Twice,
     /// It arrives so much later.
     Late(Duration),
 }
 
-/// Decides by the trigger's number what becomes of its command.
+/// Decides by the trigger's number whether its command arrives.
 #[derive(Clone)]
 pub struct ActionFilter(Arc<dyn Fn(i64) -> ActionFate + Send + Sync>);
 
 impl ActionFilter {
-    /// By this rule.
+    /// A filter that decides by this rule.
     pub fn new(fate: impl Fn(i64) -> ActionFate + Send + Sync + 'static) -> Self {
         Self(Arc::new(fate))
     }
@@ -40,7 +37,7 @@ impl fmt::Debug for ActionFilter {
     }
 }
 
-/// Request ids go round after so many.
+/// Number of request ids after which they repeat.
 const IDS: i64 = u16::MAX as i64;
 
 /// The action commands of one camera.
@@ -52,7 +49,7 @@ pub struct Actions {
 }
 
 impl Actions {
-    /// Before the first.
+    /// A counter before the first action command.
     pub fn new(filter: Option<ActionFilter>) -> Self {
         Self { filter, last: 0 }
     }

@@ -17,13 +17,11 @@ pub const CONTROL: u32 = 2;
 /// What the stream needs to know of the registers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StreamSettings {
-    /// Feature values.
     pub settings: Settings,
     /// How images are cut into packets.
     pub layout: Layout,
     /// Where packets go; frames are exposed, but not sent, while the stream is closed.
     pub destination: Option<SocketAddrV4>,
-    /// Gap between packets.
     pub packet_delay: Duration,
     /// The stream's packets must not be fragmented.
     pub do_not_fragment: bool,
@@ -32,31 +30,22 @@ pub struct StreamSettings {
 /// What the device must do after a command.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
-    /// Start an acquisition.
     Start(StreamSettings),
     /// Go on with these settings.
     Update(StreamSettings),
-    /// Stop the acquisition.
     Stop,
-    /// One software trigger.
     SoftwareTrigger,
     /// The trigger of an action command.
     ActionTrigger {
-        /// The command's id.
         id: u16,
-        /// When.
         time: Instant,
     },
     /// Send a test packet of this size (IP and UDP headers counted in).
     TestPacket {
-        /// Where to.
         destination: SocketAddrV4,
-        /// Size register.
         packet_size: u16,
-        /// Do not fragment it.
         do_not_fragment: bool,
     },
-    /// Send stream packets again.
     Resend(ResendRequest),
     /// Answer and send at this address from now on.
     Move(Ipv4Addr),
@@ -93,7 +82,7 @@ pub struct Control {
 }
 
 impl Control {
-    /// A device that nobody controls.
+    /// A device that no client controls.
     pub fn new(registers: Registers) -> Self {
         Self { registers, controller: None, acquiring: false, last_write: None, held_until: None }
     }
@@ -113,12 +102,12 @@ impl Control {
         self.acquiring = false;
     }
 
-    /// Is an acquisition running?
+    /// Whether an acquisition is running now.
     pub fn acquiring(&self) -> bool {
         self.acquiring
     }
 
-    /// Takes one datagram.
+    /// Handles one datagram that arrived at the control port.
     pub fn handle(&mut self, datagram: &[u8], from: SocketAddrV4, now: Instant) -> Outcome {
         let mut outcome = self.expire(now);
         self.registers.tick(self.acquiring, now);
@@ -137,7 +126,7 @@ impl Control {
             }
         }
         let answer = self.execute(&request, from, now, &mut outcome.actions);
-        // A discovery is answered whatever its flags say.
+        // A discovery is answered whatever its flags are.
         outcome.answer = answer.filter(|_| request.ack || request.command == Command::Discovery);
         let write = matches!(request.command, Command::WriteRegisters(_) | Command::WriteMemory { .. });
         if self.is_controller(from) {
@@ -206,7 +195,7 @@ impl Control {
                 if !self.registers.can_move() {
                     return Some(gvcp::force_ip_ack(id, Status::NotImplemented));
                 }
-                // Of another device, or of one that somebody controls: not for this one, and not a word.
+                // For another device, or for one that a client controls: it is ignored without an answer.
                 if force.mac != self.registers.mac() || self.controller.is_some() {
                     return None;
                 }
@@ -317,7 +306,7 @@ impl Control {
         (Status::Success, (written & 0xffff) as u16)
     }
 
-    /// Writes one register, whatever it sets off; says how many bytes it took.
+    /// Writes one register, whatever it sets off; returns how many bytes it took.
     fn write(
         &mut self,
         address: u32,
@@ -373,7 +362,7 @@ impl Control {
                 self.registers.privilege = value;
                 self.registers.controller = Some(from);
             }
-            // Switchover and its key are not implemented, and the capability register says so.
+            // Switchover and its key are not implemented, and the capability register has no bit for them.
             _ => return Err(Status::InvalidParameter),
         }
         Ok(())

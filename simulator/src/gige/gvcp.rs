@@ -37,7 +37,6 @@ const FORCE_IP_SIZE: usize = 56;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u16)]
 pub enum Status {
-    /// Command executed.
     Success = 0x0000,
     /// Command or value is not supported by the device.
     NotImplemented = 0x8001,
@@ -45,7 +44,6 @@ pub enum Status {
     InvalidParameter = 0x8002,
     /// No register at this address.
     InvalidAddress = 0x8003,
-    /// The register is read-only.
     WriteProtect = 0x8004,
     /// Address or length is not a multiple of four.
     BadAlignment = 0x8005,
@@ -61,25 +59,24 @@ pub enum Status {
     ActionLate = 0x8016,
 }
 
-/// Which packets of which block are asked for again.
+/// The packets of a block whose retransmission is requested.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ResendRequest {
     /// Stream channel; this device has channel 0 only.
     pub channel: u16,
     /// GVSP block id: 16 bits, or 64 when `extended`.
     pub block_id: u64,
-    /// First packet id asked for.
+    /// The first packet id that is requested.
     pub first: u32,
-    /// Last packet id asked for, inclusive.
+    /// The last packet id that is requested, inclusive.
     pub last: u32,
     /// Sent with 64-bit block ids and 32-bit packet ids.
     pub extended: bool,
 }
 
-/// One GVCP command.
+/// A GVCP command that a client sends.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Command {
-    /// Who is there?
     Discovery,
     /// Read 32-bit registers at these addresses.
     ReadRegisters(Vec<u32>),
@@ -87,19 +84,14 @@ pub enum Command {
     WriteRegisters(Vec<(u32, u32)>),
     /// Read `count` bytes from `address`.
     ReadMemory {
-        /// First byte.
         address: u32,
-        /// Number of bytes.
         count: u16,
     },
     /// Write bytes from `address` on.
     WriteMemory {
-        /// First byte.
         address: u32,
-        /// What to write.
         data: Vec<u8>,
     },
-    /// Send stream packets again.
     PacketResend(ResendRequest),
     /// Whoever has this MAC shall have this address.
     ForceIp(ForceIp),
@@ -144,13 +136,10 @@ impl ActionCommand {
 /// Where a device shall move to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ForceIp {
-    /// Whose MAC, 48 bits.
+    /// The MAC of the camera that is meant, 48 bits.
     pub mac: u64,
-    /// Its new address.
     pub address: Ipv4Addr,
-    /// Of its subnet.
     pub mask: Ipv4Addr,
-    /// Of its subnet.
     pub gateway: Ipv4Addr,
 }
 
@@ -171,14 +160,13 @@ impl ForceIp {
     }
 }
 
-/// One GVCP command with what its header says about the answer.
+/// One GVCP command, with the flags of its header that concern the answer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Request {
     /// Echoed by the acknowledge; never 0.
     pub id: u16,
     /// The sender wants an acknowledge.
     pub ack: bool,
-    /// What to do.
     pub command: Command,
 }
 
@@ -189,11 +177,9 @@ pub enum Malformed {
     Ignore,
     /// A GVCP header, and something wrong after it.
     Refuse {
-        /// What to answer.
         status: Status,
         /// The command that is refused.
         command: u16,
-        /// Its request id.
         id: u16,
         /// The sender wants an acknowledge.
         ack: bool,
@@ -386,7 +372,7 @@ pub fn action_ack(id: u16, status: Status) -> Vec<u8> {
     acknowledge(status, ACTION + 1, id, &[])
 }
 
-/// PENDING_ACK: the answer to request `id` takes so many ms.
+/// PENDING_ACK: the answer to request `id` follows after this number of milliseconds.
 pub fn pending_ack(id: u16, milliseconds: u16) -> Vec<u8> {
     let time = milliseconds.to_be_bytes();
     acknowledge(Status::Success, PENDING_ACK, id, &[0, 0, time[0], time[1]])

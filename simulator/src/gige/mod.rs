@@ -11,7 +11,7 @@
 //! A camera of another make has its features in [`make`] instead of [`map`]; what it makes of the light is in [`picture`].
 //!
 //! [`gvcp`], [`gvsp`], [`control`], [`registers`], [`sensor`] and [`genicam`] know no sockets and no threads.
-//! `docs/design/simulated-cameras.md` says what of the standard is implemented.
+//! `docs/design/simulated-cameras.md` lists what of the standard is implemented.
 
 #![deny(unsafe_code)]
 
@@ -98,27 +98,14 @@ pub enum CameraError {
     Bind {
         /// What was to be bound.
         address: SocketAddrV4,
-        /// What the system says.
         source: std::io::Error,
     },
     /// The image source has a size that no camera has.
     #[error("images are {width} x {height} pixels, expected 16 to 16384 columns and 1 to 16384 rows")]
-    Size {
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
-    },
+    Size { width: usize, height: usize },
     /// A text does not fit into its register.
     #[error("the {field} {text:?} must have at most {limit} bytes and no NUL")]
-    Text {
-        /// Which option.
-        field: &'static str,
-        /// What was given.
-        text: String,
-        /// Bytes that fit.
-        limit: usize,
-    },
+    Text { field: &'static str, text: String, limit: usize },
     /// A socket refuses an option.
     #[error("cannot set up a camera socket: {0}")]
     Socket(std::io::Error),

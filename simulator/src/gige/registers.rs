@@ -21,7 +21,7 @@ use std::time::Instant;
 mod kinds;
 mod values;
 
-/// Where the GenICam XML starts; the URL register says so.
+/// Where the GenICam XML starts; the URL register has this address.
 pub const XML_ADDRESS: u32 = 0x0010_0000;
 /// Where the features begin that are not every GigE Vision camera's.
 const FEATURES: u32 = 0x0001_0000;
@@ -29,9 +29,9 @@ const FEATURES: u32 = 0x0001_0000;
 pub const PACKET_SIZE: std::ops::RangeInclusive<u16> = 576..=65_532;
 /// The packet size must be a multiple of this.
 pub const PACKET_SIZE_STEP: u16 = 4;
-/// Narrowest image.
+/// Columns of the narrowest image that the camera takes.
 pub const WIDTH_MIN: u32 = 16;
-/// Shortest heartbeat timeout, ms.
+/// The shortest heartbeat timeout that the camera accepts, ms.
 const HEARTBEAT_MIN: u32 = 500;
 /// States of PTP, as IEEE 1588 numbers them.
 pub const PTP_STATES: [(&str, u32); 3] = [("Disabled", 3), ("Listening", 4), ("Slave", 9)];
@@ -41,7 +41,6 @@ pub const EXTENDED_IDS_BIT: u32 = 1 << 30;
 /// What a camera is called and where it answers.
 #[derive(Debug, Clone)]
 pub struct Identity {
-    /// The device's own address.
     pub address: Ipv4Addr,
     /// Model name, at most 31 bytes.
     pub model: String,
@@ -56,13 +55,10 @@ pub struct Identity {
 pub enum Effect {
     /// Start acquiring with the settings as they stand.
     Start,
-    /// Stop acquiring.
     Stop,
-    /// A software trigger.
     SoftwareTrigger,
     /// Something changed that a running acquisition follows: destination, packet delay, exposure, rate.
     Stream,
-    /// Send one test packet.
     TestPacket,
     /// The control channel privilege register was written: the caller decides.
     Privilege(u32),
@@ -76,7 +72,7 @@ pub struct Registers {
     clock: Arc<CameraClock>,
     xml: Vec<u8>,
     habits: Habits,
-    /// Of a camera that is like a table says; else its features are those of [`super::map`].
+    /// The make of a camera with a table; else its features are those of [`super::map`].
     firmware: Option<Firmware>,
     /// Of a camera behind a published description; its features are those.
     described: Option<Arc<Described>>,
@@ -88,7 +84,7 @@ pub struct Registers {
     pub privilege: u32,
     /// Who has it ("primary application").
     pub controller: Option<SocketAddrV4>,
-    /// The controller is lost after so many silent milliseconds.
+    /// Milliseconds without a message after which the controller loses control.
     pub heartbeat_ms: u32,
     /// Port the stream goes to; 0 closes the stream.
     pub host_port: u16,
@@ -100,11 +96,10 @@ pub struct Registers {
     pub packet_size: u16,
     /// The stream's packets must not be fragmented.
     pub do_not_fragment: bool,
-    /// Gap between packets, ticks.
+    /// The gap between two packets, ticks of the clock.
     pub packet_delay: u32,
     /// Width of block and packet ids.
     pub ids: IdMode,
-    /// Camera features.
     pub settings: Settings,
     /// Triggers ignored since the acquisition started.
     pub triggers_ignored: u32,
@@ -170,7 +165,7 @@ impl Registers {
         self.network.away = false;
     }
 
-    /// Its addresses.
+    /// The camera's addresses: those of now and the persistent ones.
     pub fn network(&self) -> &Network {
         &self.network
     }
@@ -183,7 +178,7 @@ impl Registers {
         }
     }
 
-    /// What the payload of an image is, as its features say.
+    /// The form of an image's payload by its features.
     pub fn form(&self) -> Form {
         if let Some(firmware) = &self.firmware {
             return firmware.form(self.habits.power_on);
@@ -225,7 +220,7 @@ impl Registers {
         Ok(bytes)
     }
 
-    /// Writes the one register that starts at `address` with the beginning of `data`; says how many bytes it
+    /// Writes the one register that starts at `address` with the beginning of `data`; returns how many bytes it
     /// took and what follows from it. `acquiring` locks what must not change under a running acquisition.
     ///
     /// # Errors
@@ -389,7 +384,7 @@ impl Registers {
         let settings = &mut self.settings;
         let coded = Status::InvalidParameter;
         match id {
-            // Features with a single value, as their description says.
+            // Features with a single value, by their description.
             Id::StreamConfiguration | Id::OffsetX | Id::OffsetY => accept(value == 0)?,
             Id::ExposureAuto | Id::TriggerActivation => accept(value == 0)?,
             Id::TriggerSelector => {
@@ -462,7 +457,7 @@ impl Registers {
         }
         let Some((register, offset)) = find(address) else { return self.xml_word(address) };
         if matches!(register.id, Id::TickFrequencyHigh | Id::TickFrequencyLow) {
-            // Not every camera says.
+            // Not every camera states it.
             self.habits.frequency()?;
         }
         match register.length {

@@ -30,15 +30,12 @@ pub enum Order {
     /// Start acquisition number `.0` (from 1 on), ordered at `.1`: edges count from the acknowledge on,
     /// whenever this thread gets to run.
     Start(u64, Instant, StreamSettings),
-    /// Follow these settings.
     Update(StreamSettings),
-    /// Stop acquiring.
     Stop,
     /// A software trigger at this time.
     SoftwareTrigger(Instant),
     /// The trigger of an action command.
     Action(TriggerEdge),
-    /// End the thread.
     Quit,
 }
 
@@ -52,7 +49,7 @@ struct Shot {
     exposure: Exposure,
     /// Camera clock at its start, ns.
     timestamp: u64,
-    /// The light it sees.
+    /// The simulated instant whose light the exposure sees.
     instant: i64,
     /// What goes wrong with it.
     fault: Option<Fault>,
@@ -68,13 +65,13 @@ struct Acquisition {
     /// Exposures that are not sent yet.
     exposures: VecDeque<Shot>,
     next_block_id: u64,
-    /// A frame is sent so long after its exposure.
+    /// Time from the exposure of a frame to its first packet.
     late: Duration,
     /// Instant of the simulated world for exposures that no wire triggers.
     next_instant: i64,
     /// Start of the next free-running exposure.
     next_free_run: Option<Instant>,
-    /// Exposures of this acquisition.
+    /// The number of exposures of this acquisition.
     exposed: u64,
     /// Triggers that it still sleeps through.
     asleep: u32,
@@ -87,17 +84,11 @@ struct Acquisition {
 pub struct Streamer {
     /// Orders from the control thread.
     pub orders: Receiver<Order>,
-    /// The trigger input.
     pub triggers: Receiver<TriggerEdge>,
-    /// The camera's clock.
     pub clock: Arc<CameraClock>,
-    /// Where frames go out.
     pub transmitter: Transmitter,
-    /// The stream's socket.
     pub socket: Arc<UdpSocket>,
-    /// Frames kept for resend.
     pub history: Arc<History>,
-    /// Counters.
     pub statistics: Arc<Statistics>,
     /// Number of the running acquisition, 0 where none runs.
     pub running: Arc<AtomicU64>,
@@ -105,7 +96,6 @@ pub struct Streamer {
     pub first_block_id: u64,
     /// What its frames and stamps are like.
     pub habits: Habits,
-    /// Faults to inject.
     pub injector: Option<Injector>,
     /// What the control thread must know of faults.
     pub presence: Arc<Presence>,
@@ -148,7 +138,7 @@ impl Absence {
 const ROGUE_HEARTBEAT: Duration = Duration::from_millis(500);
 
 impl Streamer {
-    /// Runs until told to quit, or until nobody is left to tell.
+    /// Runs until the order to quit, or until the sender of orders is dropped.
     pub fn run(mut self) {
         let mut acquisition: Option<Acquisition> = None;
         let mut connected = None;
@@ -326,7 +316,7 @@ impl Streamer {
         }
     }
 
-    /// From this edge on nothing is sent, for as many triggers as the fault says. What was exposed before goes out
+    /// From this edge on nothing is sent, for as many triggers as the fault lasts. What was exposed before goes out
     /// first, so that exactly these triggers are lost.
     fn go_away(&mut self, acquisition: &mut Option<Acquisition>, fault: Fault, edge: &TriggerEdge) {
         if let Some(mut running) = acquisition.take() {

@@ -20,7 +20,6 @@ use std::time::{Duration, Instant};
 /// One image as it was or will be sent; its pixels stay with the image source.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frame {
-    /// GVSP block id.
     pub block_id: u64,
     /// Camera clock at the start of the exposure, ticks.
     pub timestamp: u64,
@@ -93,7 +92,7 @@ pub struct History {
 }
 
 impl History {
-    /// Room for so many frames.
+    /// Room for a number of frames.
     pub fn new(capacity: usize) -> Self {
         Self { frames: Mutex::new(VecDeque::with_capacity(capacity + 1)), capacity }
     }
@@ -119,7 +118,7 @@ impl History {
         self.lock().iter().rev().find(|(f, _)| f.block_id == block_id).map(|(frame, _)| *frame)
     }
 
-    /// What becomes of requests for this block's packets: answered, unless a fault says otherwise.
+    /// Whether requests for this block's packets are answered: yes, unless a fault prevents it.
     pub fn policy(&self, block_id: u64) -> Resend {
         let frames = self.lock();
         frames

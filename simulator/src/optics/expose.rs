@@ -10,9 +10,7 @@ use rayon::prelude::{IndexedParallelIterator, ParallelIterator, ParallelSlice, P
 /// What an exposure's noise depends on.
 #[derive(Debug, Clone, Copy)]
 pub struct Exposure {
-    /// The scenario's seed.
     pub seed: u64,
-    /// The simulated instant.
     pub instant: u64,
 }
 

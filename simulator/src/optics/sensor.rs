@@ -17,17 +17,15 @@ use rayon::prelude::{IndexedParallelIterator, ParallelIterator, ParallelSliceMut
 pub struct Sensor {
     /// Its name in the rig.
     pub id: CameraId,
-    /// True geometry.
     pub device: Device,
     /// Number of its head, which is also the number of its projector.
     pub head: usize,
-    /// Its filter.
     pub channel: Channel,
     /// Numbers of the projectors that its filter lets through; its own first.
     pub lamps: Vec<usize>,
     /// How much of each one's light it lets through.
     pub shares: Vec<f64>,
-    /// Projection centre, world, m.
+    /// Projection centre in the world's frame, m.
     pub centre: Point3<f64>,
     rotation: Rotation3<f64>,
     /// Normalized coordinates of each pixel; NaN where the distortion has no inverse.
@@ -39,11 +37,11 @@ pub struct Sensor {
 /// A point of the room behind the subject.
 #[derive(Debug, Clone, Copy)]
 pub struct RoomPoint {
-    /// World, m.
+    /// The point in the world's frame, m.
     pub point: Point3<f64>,
-    /// Towards the volume.
+    /// The unit normal that points towards the volume.
     pub normal: Vector3<f64>,
-    /// Absolute.
+    /// The share of light that is reflected.
     pub albedo: f64,
 }
 
@@ -178,7 +176,7 @@ impl Sensor {
 
 /// What one projector adds to the picture of the empty room.
 pub struct RoomLight {
-    /// Per pixel, DN.
+    /// The grey value of each pixel, DN.
     pub dn: Vec<f32>,
     /// Per pixel, the tile of the projector's panel that lights it.
     pub panel_tile: Vec<u32>,

@@ -26,7 +26,7 @@ pub struct RoundedCone {
 /// What a cone is made of, in its rest pose.
 #[derive(Debug, Clone, Copy)]
 pub struct ConeShape {
-    /// Ball centres, m.
+    /// The centres of the two balls, m.
     pub ends: [[f64; 3]; 2],
     /// Ball radii before flattening, m.
     pub radii: [f64; 2],
@@ -127,7 +127,6 @@ pub struct Group {
 /// A union of groups; between groups there is a crease, as where a forearm rests on a chest.
 #[derive(Debug, Clone, Copy)]
 pub struct Field<'a> {
-    /// All cones.
     pub cones: &'a [RoundedCone],
 }
 

@@ -24,13 +24,12 @@ use nalgebra::{Point3, Vector3};
 /// A mesh with its hierarchy.
 #[derive(Debug, Clone)]
 pub struct MeshSolid {
-    /// The surface.
     pub mesh: Mesh,
     bvh: Bvh,
 }
 
 impl MeshSolid {
-    /// Builds the hierarchy.
+    /// Builds the bounding-volume hierarchy of a mesh.
     pub fn new(mesh: Mesh) -> Self {
         let bvh = Bvh::build(&mesh);
         Self { mesh, bvh }
@@ -66,11 +65,8 @@ fn fast(sight: &Sight) -> FastRay {
 /// One thing in the scene.
 #[derive(Debug, Clone)]
 pub enum Solid {
-    /// Triangles.
     Mesh(MeshSolid),
-    /// A ball.
     Sphere(Sphere),
-    /// An upright cylinder.
     Cylinder(Cylinder),
     /// A plate or the calibration board.
     Rectangle(Rectangle),
@@ -93,7 +89,7 @@ impl Solid {
         }
     }
 
-    /// The surface as triangles.
+    /// The surface of the solid as triangles.
     pub fn mesh(&self) -> Mesh {
         match self {
             Self::Mesh(mesh) => mesh.mesh.clone(),
@@ -107,7 +103,6 @@ impl Solid {
 /// Everything but the room, at one moment.
 #[derive(Debug, Clone, Default)]
 pub struct Scene {
-    /// In any order.
     pub solids: Vec<Solid>,
 }
 

@@ -5,7 +5,7 @@ use super::skeleton::{Bone, Posture};
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
-/// A repeated movement.
+/// A movement that the mannequin repeats.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Motion {

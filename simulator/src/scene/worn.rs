@@ -10,7 +10,6 @@ use std::f64::consts::TAU;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Worn {
-    /// None.
     Nothing,
     /// A rod as thick as a broomstick, upright before the chest: what is behind it is seen to both of its sides.
     Rod,
@@ -22,11 +21,11 @@ pub enum Worn {
 const PLEATS: usize = 28;
 
 impl Worn {
-    /// As scenarios name them.
+    /// The garments, with their names in scenario files.
     pub const NAMES: [(&'static str, Worn); 3] =
         [("nothing", Worn::Nothing), ("rod", Worn::Rod), ("skirt", Worn::Skirt)];
 
-    /// Whether there is none.
+    /// Whether the subject wears nothing at all.
     pub fn is_nothing(&self) -> bool {
         *self == Worn::Nothing
     }

@@ -10,82 +10,62 @@ use std::path::Path;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// A whole number.
     Integer,
-    /// A floating-point number.
     Float,
-    /// One of named entries.
     Enumeration,
-    /// On or off.
     Boolean,
-    /// Something to be done.
     Command,
-    /// Text.
     String,
 }
 
-/// Who may do what with a feature, where its description says.
+/// Whether a feature can be read and written, where its description states it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub enum Access {
-    /// Read only.
     Ro,
-    /// Read and write.
     Rw,
-    /// Write only.
     Wo,
 }
 
 /// A limit or an increment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Bound {
-    /// Not stated.
     Absent,
-    /// The camera computes it.
     Depends,
-    /// A constant.
     Fixed(f64),
 }
 
 /// What is written to execute a command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CommandValue {
-    /// Always this.
     Fixed(u32),
     /// What follows from these features; none: from something that is no feature.
     Of(Vec<String>),
 }
 
-/// One feature.
+/// A feature of a make, as its table states it.
 #[derive(Debug, Clone)]
 pub struct Feature {
-    /// Its name.
     pub name: String,
-    /// Its kind.
     pub kind: Kind,
-    /// Its unit.
     pub unit: Option<String>,
-    /// Smallest value.
     pub min: Bound,
-    /// Largest value.
     pub max: Bound,
-    /// Increment.
     pub inc: Bound,
     /// Entries of an enumeration, in order.
     pub entries: Vec<String>,
     /// Features of which it selects one of several values; all are in the table.
     pub selects: Vec<String>,
-    /// Who may do what.
     pub access: Option<Access>,
     /// Another feature or state can lock it.
     pub locked_by: bool,
-    /// It can be there or not, as other features say.
+    /// Whether it is there depends on other features.
     pub available_if: bool,
     /// Some models of the family do not have it.
     pub implemented_if: bool,
     /// Of a command: what is written.
     pub command_value: CommandValue,
-    /// Of a command: whether its register can be read; `None` where the table does not say.
+    /// Of a command: whether its register can be read; `None` where the table does not state it.
     pub can_be_read: Option<bool>,
     /// Features that lie in the same register.
     pub same_register_as: Vec<String>,
@@ -93,14 +73,13 @@ pub struct Feature {
     pub available_with: Vec<String>,
 }
 
-/// A whole table.
+/// The table of a make: all features of its description.
 #[derive(Debug, Clone)]
 pub struct Table {
     /// Vendor, as the description names it.
     pub vendor: String,
     /// Model, as the description names it.
     pub model: String,
-    /// All features, by name.
     pub features: Vec<Feature>,
 }
 
