@@ -9,7 +9,7 @@ use crate::worker::retention::{Judgement, delete, judge};
 use crate::worker::state::Job;
 use std::path::PathBuf;
 
-/// Show which recordings are verified, reconstructed and copied to the archive, and delete them when asked.
+/// Show which recordings are verified, reconstructed and copied to the archive, and delete them on request.
 ///
 /// Without names all sessions that were reconstructed or set aside are looked at, by the sizes of their copies. With
 /// names every byte is compared with the copy, which is then verified where it lies, and with --delete the recordings
