@@ -142,7 +142,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         print_json(&takes, args.takes);
     }
     if let Some(fault) = fault {
-        return Err(fault.into());
+        return Err(fault);
     }
     let worst = takes.iter().map(Captured::exit).find(|exit| *exit != Exit::Done);
     Ok(worst.unwrap_or(Exit::Done))

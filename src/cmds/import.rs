@@ -200,7 +200,7 @@ impl Import<'_> {
         let period_ns = 1e9 / self.rig.trigger_rate_hz;
         for trigger in 0..self.triggers {
             let camera_time_ns = (trigger as f64 * period_ns).round() as u64;
-            let frames: Result<Vec<Option<(FrameMeta, Vec<u8>)>>, String> = cameras
+            let frames: Result<Vec<Option<ImportedFrame>>, String> = cameras
                 .par_iter()
                 .map(|camera| {
                     let path = self.sequences.get(&camera.id).and_then(|images| images.get(&trigger));
@@ -259,14 +259,17 @@ impl Import<'_> {
     }
 }
 
-/// An image as a frame: its metadata, and its message with the envelope in front of the pixels.
+/// A frame's metadata, and its message with the envelope in front of the pixels.
+type ImportedFrame = (FrameMeta, Vec<u8>);
+
+/// Reads an image of a camera as a frame of this trigger.
 fn frame_of(
     camera: &RigCamera,
     path: &Path,
     trigger: u64,
     camera_time_ns: u64,
     created_ns: u64,
-) -> Result<(FrameMeta, Vec<u8>), String> {
+) -> Result<ImportedFrame, String> {
     let pixels = read_image(camera, path)?;
     let meta = FrameMeta {
         trigger: TriggerIndex(trigger),

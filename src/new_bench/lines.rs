@@ -89,6 +89,9 @@ pub struct Unit<'a> {
     pub config: &'a NodeConfig,
 }
 
+/// The triggers of a train on the host's clock, ns, and what each camera sent, with the camera's place.
+type Train = (Vec<u64>, Vec<(usize, Seen)>);
+
 impl Unit<'_> {
     fn heads(&self) -> usize {
         self.config.rig.heads.len()
@@ -112,7 +115,7 @@ impl Unit<'_> {
         count: u32,
         cameras: &mut [BenchCamera],
         contracts: &[Option<FrameContract>],
-    ) -> Result<(Vec<u64>, Vec<(usize, Seen)>), TrainError> {
+    ) -> Result<Train, TrainError> {
         let (mut places, mut waiting) = (Vec::new(), Vec::new());
         for (place, bench) in cameras.iter_mut().enumerate() {
             let Some(contract) = contracts[place] else { continue };
