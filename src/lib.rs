@@ -12,6 +12,8 @@
 //!
 //! `ARCHITECTURE.md` has the folders in their order, from the ground up: each names only those before it.
 
+#![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]
+
 pub use fourdbody_calibrate::{self as calibrate, validate};
 pub use fourdbody_core::{base, config, data, geometry};
 pub use fourdbody_devices::{acquire, camera, hsu, network};

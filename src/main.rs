@@ -2,6 +2,7 @@
 //! The `fourdbody` command line: parse, run the command, turn its outcome into the exit code.
 
 use clap::Parser;
+use fourdbody::base::print::harmless;
 use fourdbody::cmds::Cli;
 use std::io::IsTerminal;
 use std::io::Write;
@@ -16,8 +17,9 @@ fn main() -> ExitCode {
     match cli.run() {
         Ok(exit) => exit.into(),
         Err(failure) => {
-            // Nobody may read any more; the exit code is still told.
-            let _ = writeln!(std::io::stderr(), "error: {failure}");
+            // The message may quote a file, a camera or another node. Where it cannot be written, the exit code
+            // remains.
+            let _ = writeln!(std::io::stderr(), "error: {}", harmless(&failure.message));
             failure.exit.into()
         }
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Rendered sequences on disk, and their replay at full rate.
 //!
-//! `DIR/frames/CAMERA.mono8` holds all images of one camera one after the other; `DIR/manifest.json` says what
+//! `DIR/frames/CAMERA.mono8` holds all images of one camera one after the other; `DIR/manifest.json` lists what
 //! they are and is written last, so that a directory with a manifest is complete.
 
 use crate::images::ImageSource;
@@ -46,15 +46,10 @@ pub struct CachedCamera {
 pub enum CacheError {
     /// A file could not be read or written.
     #[error("{path}: {source}")]
-    Io {
-        /// The file that cannot be read or written.
-        path: PathBuf,
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     /// The directory is not a cache, or not this one's.
     #[error("{path}: {reason}; render it again with `fourdbody-sim render`")]
     Invalid {
-        /// The file that cannot be used.
         path: PathBuf,
         /// What was found, what was expected.
         reason: String,
@@ -89,6 +84,7 @@ impl Manifest {
         directory.join("manifest.json")
     }
 
+    /// Reads the manifest of a rendered sequence's directory.
     pub fn load(directory: &Path) -> Result<Self, CacheError> {
         let path = Self::path(directory);
         let bytes = std::fs::read(&path).map_err(|source| CacheError::Io { path: path.clone(), source })?;
@@ -169,7 +165,7 @@ impl CachedImages {
 }
 
 /// Which image of a sequence is shown at an instant: before the first, the first; after the last, as
-/// `after_end` says.
+/// `after_end` defines.
 pub fn image_number(instant: i64, instants: usize, after_end: AfterEnd) -> usize {
     let instant = usize::try_from(instant.max(0)).unwrap_or(0);
     match after_end {

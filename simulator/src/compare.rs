@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A calibration against the true rig: where the points of the working volume end up.
 //!
-//! For a grid of pixels and distances of every camera, the true devices say which panel column lights the true point; the
-//! calibration under test turns pixel and column into a point of its own. A calibration's world is its own choice, so
-//! the points are compared after the rigid motion that fits them best: head by head (the heads' own errors), and
-//! all together (how the heads stand to each other, too).
+//! For a grid of pixels and distances of every camera, the true devices give the panel column that lights the true
+//! point; the calibration under test turns pixel and column into a point of its own. A calibration's world is its own
+//! choice, so the points are compared after the rigid motion that fits them best: head by head (the heads' own errors),
+//! and all together (how the heads stand to each other, too).
 
 use fourdbody::base::ids::HeadId;
 use fourdbody::data::Calibration;

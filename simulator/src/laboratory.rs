@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-/// Which rig, cameras, clocks, disks and faults a laboratory has.
+/// The options of a laboratory: rig, addresses, cameras and faults.
 #[derive(Debug, Clone)]
 pub struct LaboratoryOptions {
     /// The rig file's text; it is copied beside the node files.
@@ -50,7 +50,7 @@ pub struct LaboratoryOptions {
     pub makes: BTreeMap<String, Arc<Make>>,
     /// Published descriptions that cameras are behind, by the cameras' names.
     pub described: BTreeMap<String, Arc<Described>>,
-    /// Node files say what such cameras need, as somebody writes it who knows them; else tests or commands must.
+    /// Node files have what such cameras need, as a user writes it who knows them; else tests or commands must.
     pub make_words: bool,
     /// Faults of the cameras; what was injected is written to `faults.jsonl` in the run directory.
     pub faults: Option<FaultPlan>,
@@ -119,11 +119,7 @@ pub enum LaboratoryError {
     Rig(String),
     /// A file, link or pty could not be made.
     #[error("{what}: {source}")]
-    Io {
-        /// What the laboratory was about to make.
-        what: String,
-        source: io::Error,
-    },
+    Io { what: String, source: io::Error },
     /// A camera did not start.
     #[error("camera {id}: {source}")]
     Camera {
@@ -137,7 +133,6 @@ pub enum LaboratoryError {
 #[derive(Debug, Clone)]
 pub struct NodeFile {
     pub node: NodeId,
-    /// The node file that was written for it.
     pub path: PathBuf,
     /// The port of its API.
     pub port: u16,
@@ -146,7 +141,6 @@ pub struct NodeFile {
 /// Cameras and HSU, running until dropped.
 pub struct Laboratory {
     pub rig: Rig,
-    /// The cameras, in the order of the rig.
     pub cameras: Vec<SimulatedCamera>,
     setups: Vec<CameraOptions>,
     /// With one link per node, in the order of the nodes' names.
@@ -207,7 +201,7 @@ impl Laboratory {
                 truth: Arc::clone(truth),
             });
             if setup.faults.is_some() {
-                // Refused is what the plan refuses: a camera's memory must hold what is asked for late.
+                // Refused is what the plan refuses: a camera's memory must hold what is requested late.
                 setup.resend_frames = FAULTY_RESEND_FRAMES;
             }
             setups.push(setup.clone());
@@ -246,7 +240,7 @@ impl Laboratory {
     /// Plugs a camera in again: power-on settings, block ids and clock from the beginning.
     pub fn plug(&mut self, camera: usize) -> Result<(), CameraError> {
         let setup = self.setups[camera].clone();
-        // Triggers that came while nobody was there.
+        // Triggers that came while no node was connected.
         setup.triggers.try_iter().for_each(drop);
         self.cameras[camera] = SimulatedCamera::start(setup)?;
         Ok(())
@@ -299,7 +293,7 @@ fn disk_dir(options: &LaboratoryOptions, node: &NodeId) -> PathBuf {
     options.run_dir.join(format!("disk-{node}"))
 }
 
-/// The folder into which a node records its sessions.
+/// The directory in which a node records its sessions.
 fn sessions_dir(options: &LaboratoryOptions, node: &NodeId) -> PathBuf {
     match &options.disk {
         Some(plan) if plan.concerns(node.as_str()) => disk_dir(options, node),
@@ -407,5 +401,5 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[Nod
     text
 }
 
-/// What a node's file says of the simulator's own cameras; the exposure is the rig's.
+/// The entries of a node file for the simulator's own cameras; the exposure is the rig's.
 const OWN_WORDS: &str = "trigger_line = \"Line0\"\n";

@@ -3,8 +3,9 @@
 //!
 //! Knows the product's library (rig, geometry, pattern, calibration file); the product never knows it.
 
-#![allow(missing_docs, reason = "no library for others: what a name says needs no comment")]
+#![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]
 
+/// Rendered sequences on disk, and their replay.
 /// Rendered sequences on disk, and their replay.
 pub mod cache;
 /// One file per command of the command line.
@@ -20,18 +21,18 @@ pub mod images;
 pub mod laboratory;
 /// From the projector's panel to pixel values.
 pub mod optics;
-/// Random numbers that follow from a seed and a counter by hashing.
+/// Seeded random numbers, each a hash of where it is used.
 pub mod random;
-/// Writes `rig.toml` with the geometry that was simulated.
+/// Writes a rig as the text of `rig.toml`.
 pub mod rig_file;
-/// Scenario files: subject, motion, light, faults of the geometry.
+/// Scenario files: subject, motion, light and optics of a rendered sequence.
 pub mod scenario;
 /// What stands in the light.
 pub mod scene;
 /// A whole scenario to a cache directory.
 pub mod sequence;
-/// The true geometry of a rig, which differs from the nominal one.
+/// The true geometry of a rig's cameras and projectors.
 pub mod true_rig;
-/// Files with the ground truth of each rendered frame.
+/// Ground truth files: what each pixel really sees.
 pub mod truth;
 pub mod wire;

@@ -37,7 +37,7 @@ impl Stream {
         Self(hash(seed, &[text_number(purpose)]))
     }
 
-    /// A uniform number in (0, 1).
+    /// A uniform random number between 0 and 1, both exclusive.
     pub fn uniform(&mut self) -> f64 {
         self.0 = mix(self.0);
         ((self.0 >> 11) as f64 + 0.5) / (1u64 << 53) as f64

@@ -19,10 +19,8 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Clone, Serialize)]
 pub struct Scenario {
     pub name: String,
-    /// Seed of everything random in the scenario.
     pub seed: u64,
     pub rig: PathBuf,
-    /// Number of instants, each rendered for all cameras.
     pub instants: usize,
     /// Instants per second of the subject's time; the rig's trigger rate when absent.
     pub rate_hz: Option<f64>,
@@ -48,11 +46,10 @@ pub struct Scenario {
 pub enum AfterEnd {
     /// Backwards to the first, and again: movement without a jump.
     PingPong,
-    /// The sequence begins again with the first instant.
     Wrap,
 }
 
-/// The picture that the projectors show.
+/// The image that the projectors show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Light {
@@ -67,7 +64,6 @@ pub enum Light {
 #[serde(rename_all = "snake_case")]
 pub enum Subject {
     Mannequin {
-        /// The movement that it repeats.
         motion: Motion,
         /// Length of one repetition, s.
         period_s: f64,
@@ -79,7 +75,6 @@ pub enum Subject {
         heading_deg: f64,
         /// How tall it stands, m: all of it is larger or smaller.
         height_m: f64,
-        /// Edge length of its surface's cells, mm.
         cell_mm: f64,
         /// Relative amplitude of the skin's texture.
         texture: f64,
@@ -95,7 +90,7 @@ pub enum Subject {
         poses: Vec<FlatPose>,
         /// Instants that each pose lasts.
         hold: usize,
-        /// Turns about the world's vertical axis from each pose on, where the pose does not say otherwise.
+        /// Turns about the world's vertical axis from each pose on, where the pose has no turn of its own.
         rpm: f64,
         /// Albedo of the circles relative to the rest.
         black: f64,
@@ -105,17 +100,13 @@ pub enum Subject {
     /// A body without limbs, of known girths.
     Torso(Torso),
     Sphere {
-        /// Centre in world coordinates, m.
         centre_m: [f64; 3],
-        /// Radius of the ball, m.
         radius_m: f64,
     },
     Cylinder {
         /// Centre of the lower end, m.
         foot_m: [f64; 3],
-        /// Radius of the cylinder, m.
         radius_m: f64,
-        /// Height of the cylinder, m.
         height_m: f64,
     },
     /// A mesh file, or a directory of them played one after the other.
@@ -130,7 +121,6 @@ pub enum Subject {
 /// How a flat thing stands.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FlatPose {
-    /// Centre in world coordinates, m.
     pub centre_m: [f64; 3],
     /// Which way its face looks: from world +x towards +y.
     pub azimuth_deg: f64,
@@ -138,7 +128,7 @@ pub struct FlatPose {
     pub tilt_deg: f64,
     /// Turned about its own normal.
     pub roll_deg: f64,
-    /// Turns about the world's vertical axis from then on; absent: as the subject says.
+    /// Turns about the world's vertical axis from then on; absent: the subject's own.
     pub rpm: Option<f64>,
 }
 
@@ -174,9 +164,10 @@ pub struct Jitter {
     pub projector_distortion: [f64; 2],
     /// Of k1 and k2 about their means, as a share.
     pub distortion: f64,
-    /// Standard deviation of the tangential distortion p1 and p2.
+    /// Standard deviation of the lens's tangential coefficients p1 and p2.
     pub tangential: f64,
-    /// By how much each device has turned since it was calibrated, about an axis by lot: standard deviation of the angle.
+    /// By how much each device has turned since it was calibrated, about an axis by lot: standard deviation of the
+    /// angle.
     pub drift_deg: f64,
 }
 
@@ -207,9 +198,7 @@ pub struct Optics {
     pub cross_talk: f64,
     /// Room light on everything, as a share of `exposure_dn`.
     pub ambient: f64,
-    /// Albedo of the floor, the plane z = 0.
     pub floor_albedo: f64,
-    /// Albedo of the curtain around the volume.
     pub curtain_albedo: f64,
     /// Distance of the curtain from the world's vertical axis, m.
     pub curtain_radius_m: f64,
@@ -221,13 +210,11 @@ pub struct Optics {
     pub camera_defocus: f64,
     /// Loss of light in the sensor's corner.
     pub vignetting: f64,
-    /// Photoelectrons that make one grey value.
     pub electrons_per_dn: f64,
     /// Standard deviation, in pixel values.
     pub read_noise_dn: f64,
     /// Standard deviation of the pixels' sensitivity, as a share.
     pub prnu: f64,
-    /// Grey value of a pixel without light.
     pub offset_dn: f64,
     /// Rays along each side of a pixel where depth or albedo jumps.
     pub edge_samples: usize,

@@ -22,9 +22,10 @@ use std::path::{Path, PathBuf};
 pub struct Changes {
     /// A mesh file or directory in place of the scenario's subject.
     pub mesh: Option<PathBuf>,
-    /// Renders this number of instants instead of the scenario's.
+    /// Replaces the scenario's number of instants.
     pub instants: Option<usize>,
-    /// Another marker than the rig's. The exposure is changed with it, so that the other fringes stay as bright as they are.
+    /// Another marker than the rig's. The exposure is changed with it, so that the other fringes stay as bright as they
+    /// are.
     pub marker: Option<Marker>,
     /// Divide the resolution of cameras and panels by this (0 and 1: do not).
     pub size_divisor: usize,
@@ -55,13 +56,11 @@ impl From<ConfigError> for RenderError {
 
 /// A scenario, ready to be rendered.
 pub struct Run {
-    /// The scenario, with the command line's changes applied.
     pub scenario: Scenario,
     /// The rig, at the resolution rendered.
     pub rig: Rig,
-    /// The true geometry, as a calibration file has it.
     pub calibration: Calibration,
-    /// What the rig's calibration says: the same, unless devices have turned since.
+    /// The calibration of the rig: the same, unless devices have turned since.
     stated: Calibration,
     stage: Stage,
     inputs_sha256: String,
@@ -174,7 +173,7 @@ impl Run {
         manifest.is_some_and(|manifest| complete(&manifest))
     }
 
-    /// Renders everything into the directory, unless it is there already; says whether it rendered. `progress`
+    /// Renders everything into the directory, unless it is there already; returns whether it rendered. `progress`
     /// hears of every finished frame: done, total.
     pub fn render(
         &self,

@@ -37,8 +37,8 @@ pub fn true_calibration(rig: &Rig, jitter: &Jitter, seed: u64) -> Calibration {
     Calibration::new(rig, format!("true geometry of the simulated rig, seed {seed}"), heads.collect())
 }
 
-/// The rig after its devices have turned about axes by lot: what photographs are taken with. The stated geometry stays that of
-/// the calibration.
+/// The rig after its devices have turned about axes by lot: what photographs are taken with. The stated geometry stays
+/// that of the calibration.
 pub fn drifted(calibrated: &Calibration, drift_deg: f64, seed: u64) -> Calibration {
     let mut now = calibrated.clone();
     if drift_deg == 0.0 {

@@ -24,7 +24,7 @@ fn crop_of(truth: &SensorTruth) -> [usize; 4] {
     if crop[1] == 0 { [0; 4] } else { crop }
 }
 
-/// Writes the ground truth of one camera's frame.
+/// Writes the ground truth of one camera as arrays of NumPy.
 pub fn write_npz(path: &Path, truth: &SensorTruth) -> io::Result<()> {
     let crop = crop_of(truth);
     let [v0, v1, u0, u1] = crop;

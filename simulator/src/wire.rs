@@ -9,7 +9,6 @@ pub struct TriggerEdge {
     /// Which instant of the simulated world it falls on: the trigger's index in its train. The camera does
     /// not learn it; it only picks the light that reaches the sensor. Negative for warm-up triggers.
     pub instant: i64,
-    /// Time at which the edge rises.
     pub time: Instant,
     /// How long the HSU holds the line, ns: the exposure, where a camera is set to trigger width.
     pub width_ns: u64,

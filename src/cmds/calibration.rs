@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `fourdbody calibration check`: whether the devices still stand as they were calibrated.
+//! `fourdbody calibration check`: do the devices still stand where they stood when they were calibrated?
 
-use super::failure::{Failure, tell_lost};
+use super::failure::{Failure, number_in, print, tell_lost};
 use super::progress::Progress;
 use super::reconstruct::open_source;
-use crate::base::Exit;
 use crate::base::ids::CameraId;
+use crate::base::{Exit, Scratch};
 use crate::batch::files::phase_path;
 use crate::batch::key::calibration_sha256;
 use crate::batch::run::{self, Plan};
@@ -16,7 +16,7 @@ use crate::formats::phase_file;
 use crate::reconstruct::fringe_order::MostDifference;
 use std::path::{Path, PathBuf};
 
-/// Check a calibration against a session.
+/// Check a calibration while it is in use.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -31,29 +31,29 @@ enum What {
 /// Measure how far each camera and projector has turned since the calibration, from a session of any body that fills
 /// the volume.
 ///
-/// Where two cameras see one place, their phases and the calibration must agree. The command prints the turn of each
-/// device that explains the differences, its uncertainty, and how far it moves what the device sees at the body. Points
-/// of the session need not be right for that: places whose fringe order is wrong are left out.
+/// Where two cameras see one place, their phases and the calibration must agree. The turns that explain where they do
+/// not agree are printed device by device, with their uncertainty and the displacement that they cause at the body. No
+/// point of the session has to be right for that: places whose fringe order is wrong fall out.
 ///
-/// Exit codes: 4 a device has certainly moved what it sees by more than --most-mm: calibrate again.
+/// Exit codes: 4 a device has surely moved what it sees by more than --most-mm: calibrate again.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  fourdbody calibration check sessions/walk-01 --calibration calibration.json"
-)]
+#[command(after_help = "\
+Example:
+  fourdbody calibration check sessions/walk-01 --calibration calibration.json")]
 struct Check {
     /// A session, or a directory of CAMERA/INDEX.png images.
     session: PathBuf,
-    /// The calibration that is checked.
+    /// The calibration, as `fourdbody calibrate` writes it.
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Frame sets that are measured, evenly over the session.
+    /// Frame sets that are looked at, evenly over the session.
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u64).range(1..=1000))]
     frame_sets: u64,
-    /// How far a device may have moved what it sees at the body, mm.
-    #[arg(long, value_name = "MM", default_value_t = 0.2, value_parser = parse_mm)]
+    /// What a device may have moved at the body, mm.
+    #[arg(long, value_name = "MM", default_value_t = 0.2)]
+    #[arg(value_parser = number_in(f64::MIN_POSITIVE..=f64::MAX, "millimetres above 0"))]
     most_mm: f64,
-    /// Write the calibration with these turns to this file; its origin names the session. Not written where the turns
-    /// do not settle.
+    /// Write the calibration with these turns here; its origin states so. Not written where the turns do not settle.
     #[arg(long, value_name = "FILE")]
     corrected: Option<PathBuf>,
     /// Number of threads [default: one per core].
@@ -67,29 +67,14 @@ struct Check {
     json: bool,
 }
 
-fn parse_mm(text: &str) -> Result<f64, String> {
-    let number: Option<f64> = text.parse().ok().filter(|x: &f64| *x > 0.0 && x.is_finite());
-    number.ok_or_else(|| format!("expected millimetres above 0, found {text:?}"))
-}
-
-/// Difference of the cameras below which the turns have settled, rad.
+/// Cameras whose phases differ by less, rad, are near enough to the calibration for the turns to be trusted.
 const SETTLED_RAD: f64 = 0.1;
-/// Most rounds of measuring and correcting: turns that have not settled by then are too large.
+/// Number of reconstructions at most, each with the turns that the one before has found.
 const ROUNDS: usize = 3;
 
-/// Runs the subcommand of `calibration`.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let What::Check(check) = &args.what;
     check.run()
-}
-
-/// A directory that is removed when this is dropped.
-struct Scratch(PathBuf);
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
 }
 
 /// A session and the calibration that it is compared with.
@@ -101,18 +86,18 @@ struct Compared {
     scratch: Scratch,
 }
 
-/// Why the drift could not be measured.
+/// Why there is no drift to report.
 enum Unmeasured {
     /// Devices have turned by more than can be measured.
     TooFar(String),
-    /// The session does not determine the turns.
+    /// The session does not show how devices stand.
     NotKnown(String),
     Failed(Failure),
 }
 
 impl Check {
     fn run(&self) -> Result<Exit, Failure> {
-        let calibration = Calibration::load(&self.calibration).map_err(|e| Failure::new(Exit::Usage, e))?;
+        let calibration = Calibration::load(&self.calibration).map_err(Failure::usage)?;
         let calibrated: Vec<CameraId> = calibration.cameras().map(|(_, camera)| camera.id.clone()).collect();
         let source = open_source(&self.session, &calibrated)?;
         tell_lost(source.lost());
@@ -121,13 +106,13 @@ impl Check {
         if cameras.is_empty() {
             let message =
                 "expected cameras of the calibration in the session, found none; give that of its rig";
-            return Err(Failure::new(Exit::Usage, format!("{}: {message}", self.session.display())));
+            return Err(Failure::usage(format!("{}: {message}", self.session.display())));
         }
         if let Some(stated) = source.statement() {
-            calibration.fits(&cameras, &stated).map_err(|e| Failure::new(Exit::Usage, e))?;
+            calibration.fits(&cameras, &stated).map_err(Failure::usage)?;
         }
         let unwritable = |dir: &Path, e: &std::io::Error| {
-            Failure::new(Exit::Failure, format!("the history in {}: {e}", dir.display()))
+            Failure::failed(format!("the history in {}: {e}", dir.display()))
         };
         let history = self.history.as_ref().map(|dir| History::open(dir).map_err(|e| unwritable(dir, &e)));
         let history = history.transpose()?;
@@ -139,43 +124,43 @@ impl Check {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(self.jobs.unwrap_or(0))
             .build()
-            .map_err(|e| Failure::new(Exit::Failure, e))?;
+            .map_err(Failure::failed)?;
         let measured = pool.install(|| self.measure(&compared));
         if let Some((history, dir)) = history.zip(self.history.as_ref())
             && let Some(checked) = self.checked(&compared, &measured)?
         {
             history.add(checked).map_err(|e| unwritable(dir, &e))?;
         }
-        let named =
-            |message: String| Failure::new(Exit::Corrupt, format!("{}: {message}", self.session.display()));
         let drift = measured.map_err(|unmeasured| match unmeasured {
-            Unmeasured::TooFar(message) | Unmeasured::NotKnown(message) => named(message),
+            Unmeasured::TooFar(message) | Unmeasured::NotKnown(message) => {
+                Failure::corrupt(format!("{}: {message}", self.session.display()))
+            }
             Unmeasured::Failed(failure) => failure,
         })?;
         if let Some(path) = &self.corrected {
             let seen_in = self.session.file_name().unwrap_or(self.session.as_os_str()).to_string_lossy();
             let corrected = drift.corrected(&compared.calibration, &seen_in);
-            corrected.save(path).map_err(|e| Failure::new(Exit::Failure, e))?;
+            corrected.save(path).map_err(Failure::failed)?;
         }
-        self.print(&drift)
+        self.tell(&drift)
     }
 
-    /// What goes into the history; nothing of a check that failed.
+    /// The entry for the history; `None` for a check that failed.
     fn checked(
         &self,
         compared: &Compared,
         measured: &Result<Drift, Unmeasured>,
     ) -> Result<Option<Checked>, Failure> {
-        let failed = |e: String| Failure::new(Exit::Failure, e);
+        let failed = |e: String| Failure::failed(e);
         let identity = compared.source.identity().map_err(failed)?;
         let name = self.session.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let checked = |verdict, sentence: &str| Checked {
+        let checked = |verdict, said: &str| Checked {
             recorded_ns: compared.source.recorded_ns().unwrap_or(0),
             session: identity.name.clone().unwrap_or(name),
             session_id: identity.id.clone(),
             calibration_sha256: String::new(),
             verdict,
-            said: sentence.to_owned(),
+            said: said.to_owned(),
             most_mm: self.most_mm,
             devices: Vec::new(),
         };
@@ -204,7 +189,9 @@ impl Check {
             }
             if rounds == ROUNDS {
                 return Err(Unmeasured::TooFar(format!(
-                    "expected turns with which cameras differ by less than {SETTLED_RAD} rad, found {before:.3} rad after {ROUNDS} rounds ({first_rad:.3} by the calibration): devices have turned too far to be measured; calibrate again"
+                    "expected turns with which cameras differ by less than {SETTLED_RAD} rad, found {before:.3} rad \
+                     after {ROUNDS} rounds ({first_rad:.3} by the calibration): devices have turned too far to be \
+                     measured; calibrate again"
                 )));
             }
         }
@@ -217,41 +204,38 @@ impl Check {
         if total == 0 {
             return Err(Unmeasured::NotKnown("expected frame sets, found none".to_owned()));
         }
-        let progress = Progress::of("measuring", "frame sets");
+        let progress = Progress::of("looking", "frame sets");
         let source = compared.source.as_ref();
         let (summary, _) =
             run::run(source, calibration, &plan, |done| progress.at(done as u64, total as u64))
-                .map_err(|e| Unmeasured::Failed(Failure::new(Exit::Failure, e)))?;
+                .map_err(|e| Unmeasured::Failed(Failure::failed(e)))?;
         let found = plan.shard_triggers().map(|trigger| maps(&plan, calibration, trigger));
         let drift = drift::estimate(calibration, found).map_err(|e| {
             let refused = summary.most_refused_for().map(|reason| format!("; frames are refused: {reason}"));
             Unmeasured::NotKnown(format!("{e}{}", refused.unwrap_or_default()))
         });
-        // Phase maps of the next round have the same names.
+        // Phase maps of the next look have the same names.
         let _ = std::fs::remove_dir_all(&plan.out);
         drift
     }
 
-    /// The frame sets to measure: their phases are kept as phase maps even where they contradict the calibration.
+    /// The frame sets to look at: their phases are kept as phase maps whether or not they fit the calibration.
     fn plan(&self, compared: &Compared) -> Plan {
         let triggers = compared.source.triggers();
         let every = (triggers.end - triggers.start).div_ceil(self.frame_sets).max(1);
-        // In the middle of each part of the session: people move least there.
+        // In the middle of each part: people stand still there.
         let shard = ((triggers.start + every / 2) % every, every);
         let (out, cameras) = (compared.scratch.0.clone(), compared.cameras.clone());
         Plan { out, triggers, cameras, shard, most_difference: MostDifference::ANY, ..Plan::default() }
     }
 
-    fn print(&self, drift: &Drift) -> Result<Exit, Failure> {
+    fn tell(&self, drift: &Drift) -> Result<Exit, Failure> {
         let moved = drift.moved(self.most_mm);
-        let (verdict, sentence) = drift.verdict(self.most_mm);
-        if self.json {
-            let stands = moved.is_empty();
-            println!(
-                "{}",
-                serde_json::json!({ "stands": stands, "verdict": verdict, "said": sentence, "most_mm": self.most_mm, "drift": drift })
-            );
-        } else {
+        let (verdict, said) = drift.verdict(self.most_mm);
+        let value = serde_json::json!({
+            "stands": moved.is_empty(), "verdict": verdict, "said": said, "most_mm": self.most_mm, "drift": drift,
+        });
+        print(self.json, &value, || {
             println!(
                 "{:<20} {:>10} {:>20}   about x, y, z (+-), degree",
                 "device", "degree", "mm at the body (+-)"
@@ -264,23 +248,25 @@ impl Check {
             }
             let [before, after] = drift.differ_rad;
             println!(
-                "{} places that two cameras see: the cameras differ by {before:.3} rad with the calibration, by {after:.3} rad with these turns",
+                "{} places that two cameras see: they differ by {before:.3} rad by the calibration, by {after:.3} \
+                 rad with these turns",
                 drift.sightings
             );
             if moved.is_empty() {
-                println!("{sentence}");
+                println!("{said}");
             }
-        }
+        });
         if moved.is_empty() {
             return Ok(Exit::Done);
         }
         let named: Vec<String> = moved.iter().map(ToString::to_string).collect();
         let message = format!(
-            "expected devices that have moved what they see by at most {} mm, found: {}; calibrate again, or reconstruct with a --corrected calibration",
+            "expected devices that have moved what they see by at most {} mm, found: {}; calibrate again, or \
+             reconstruct with a --corrected calibration",
             self.most_mm,
             named.join("; ")
         );
-        Err(Failure::new(Exit::Corrupt, message))
+        Err(Failure::corrupt(message))
     }
 }
 

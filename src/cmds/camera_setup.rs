@@ -1,29 +1,31 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody cameras setup`: leads through a new bench, and writes the node file's cameras.
 
+use super::connect::backend;
 use super::failure::Failure;
 use crate::base::Exit;
 use crate::base::ids::{CameraId, printable};
-use crate::camera::CameraBackend;
 use crate::network::Subnet;
 use crate::new_bench::{Claim, Given, NamedCamera, Operator, Options, Outcome};
 use std::io::{IsTerminal, Write};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-/// Set a new bench up: find its cameras, give them addresses and names, find their trigger lines, and write the node file.
+/// Set a new bench up: find its cameras, give them addresses and names, find their trigger lines, and write the node
+/// file.
 #[derive(clap::Args)]
 #[command(after_help = "\
-What it does, in this order: asks every interface who is there; gives cameras in wrong subnets an address, which they
-keep; tries the largest packet; has the HSU emit pulses and tries line after line of each camera until the pulse gives a
-frame; puts each camera on the head whose pulse it answered; takes frames at the rig's rate; writes a picture of each
-beside the node file, and the file's cameras. What else stands in the file stays. The file need not be there: then it is
-begun with what the options say. No node may run meanwhile.
+What it does, in this order: sends a discovery broadcast on every interface; gives cameras in wrong subnets an address,
+which they keep; tries the largest packet; has the HSU emit pulses and tries line after line of each camera until the
+pulse gives a frame; puts each camera on the head whose pulse it answered; takes frames at the rig's rate; writes a
+picture of each beside the node file, and the file's cameras. What else stands in the file stays. The file need not be
+there: then it is begun from the options. No node may run meanwhile.
 
-On a terminal it asks. Without one, --yes agrees to new addresses, and --camera or --in-order say which camera is which.
+On a terminal it asks questions. Without one, --yes agrees to new addresses, and --camera or --in-order tell which
+camera is which.
 
 Exit code 0: the bench can be used; 1: two interfaces of this computer share a subnet; 2: usage or configuration; 5: a
-device failed or a camera cannot be used as it is: the problems are told, and what is known is written.
+device failed or a camera cannot be used as it is: the problems are printed, and what is known is written.
 
 Examples:
   fourdbody cameras setup --config /etc/fourdbody/node.toml
@@ -39,10 +41,10 @@ pub struct SetupArgs {
     /// The rig file, relative to the node file.
     #[arg(long, value_name = "FILE")]
     rig: Option<PathBuf>,
-    /// The HSU's serial device.
+    /// The HSU's serial device, for instance /dev/ttyUSB0.
     #[arg(long, value_name = "DEVICE")]
     hsu: Option<PathBuf>,
-    /// Where sessions are recorded.
+    /// The directory in which sessions are recorded.
     #[arg(long, value_name = "DIR")]
     sessions: Option<PathBuf>,
     /// Where the node's API listens.
@@ -57,7 +59,7 @@ pub struct SetupArgs {
     /// Only cameras with addresses in this network, and those named by --camera.
     #[arg(long, value_name = "ADDRESS/BITS")]
     network: Option<Subnet>,
-    /// Agree to everything that would be asked.
+    /// Agree to every question without asking it.
     #[arg(long)]
     yes: bool,
     /// Print JSON instead of text.
@@ -73,25 +75,22 @@ fn claim(text: &str) -> Result<Claim, String> {
     Ok(Claim { id: CameraId(id.to_owned()), who: who.to_owned() })
 }
 
-/// Talks to whoever stands at the bench.
+/// The person at the bench, on the terminal or by the options.
 struct Person {
     terminal: bool,
     yes: bool,
 }
 
 impl Person {
-    /// What somebody answers; `None` where nobody is there.
+    /// The answer to a question; `None` without a terminal, or at the end of its input.
     fn ask(&self, question: &str) -> Option<String> {
         if !self.terminal {
             return None;
         }
         eprint!("{} ", printable(question));
-        let mut answer = String::new();
         std::io::stderr().flush().ok()?;
-        match std::io::stdin().read_line(&mut answer) {
-            Ok(read) if read > 0 => Some(answer.trim().to_lowercase()),
-            _ => None,
-        }
+        let answer = std::io::stdin().lines().next()?.ok()?;
+        Some(answer.trim().to_lowercase())
     }
 }
 
@@ -118,17 +117,6 @@ fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 
-#[cfg(feature = "aravis")]
-fn backend() -> Result<Box<dyn CameraBackend>, Failure> {
-    Ok(Box::new(crate::camera::AravisCameras))
-}
-
-#[cfg(not(feature = "aravis"))]
-fn backend() -> Result<Box<dyn CameraBackend>, Failure> {
-    Err(super::cameras::cannot_see_cameras())
-}
-
-/// Runs `cameras setup`.
 pub fn setup(args: &SetupArgs) -> Result<Exit, Failure> {
     let mut backend = backend()?;
     let options = Options {
@@ -155,15 +143,12 @@ pub fn setup(args: &SetupArgs) -> Result<Exit, Failure> {
         outcome.problems.iter().flat_map(|problem| problem.lines()).map(printable).collect();
     match outcome.problems.is_empty() {
         true => Ok(Exit::Done),
-        false => Err(Failure::new(
-            Exit::Device,
-            format!(
-                "{} problems; mend them, or say what they ask for in {}, and set up again:\n{}",
-                outcome.problems.len(),
-                outcome.file.display(),
-                problems.join("\n")
-            ),
-        )),
+        false => Err(Failure::device(format!(
+            "{} problems; solve them, or write the settings that they name into {}, and set up again:\n{}",
+            outcome.problems.len(),
+            outcome.file.display(),
+            problems.join("\n")
+        ))),
     }
 }
 
@@ -189,6 +174,6 @@ fn print(outcome: &Outcome) {
             ms(arrival_us),
         );
     }
-    outcome.told.iter().for_each(|line| println!("note: {}", printable(line)));
+    outcome.notes.iter().for_each(|line| println!("note: {}", printable(line)));
     println!("written: {}; next: fourdbody doctor --config {0}", outcome.file.display());
 }

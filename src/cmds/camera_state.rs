@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody cameras dump` and `cameras diff`: everything that can be read of cameras, and what changed.
 
+use super::connect::backend;
 use super::failure::{Failure, unreadable};
 use crate::base::ids::printable;
 use crate::base::{Exit, json, regular};
 use crate::camera::{State, differences};
+use crate::config::NodeConfig;
 use crate::record::SessionReader;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -46,19 +48,18 @@ Examples:
 pub struct DiffArgs {
     /// A session, a recording, or what `cameras dump --json` printed.
     a: PathBuf,
-    /// Another one.
+    /// A second one, which is compared with the first.
     b: PathBuf,
-    /// Print JSON.
+    /// Print JSON instead of text.
     #[arg(long)]
     json: bool,
 }
 
-/// One camera's state.
+/// A camera of a dump, with its whole state.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct Dumped {
-    /// Who it is.
+    /// Manufacturer, model and serial number in one line.
     device: String,
-    /// Its features.
     state: State,
 }
 
@@ -68,11 +69,8 @@ struct Dump {
     cameras: BTreeMap<String, Dumped>,
 }
 
-/// Runs `cameras dump`.
-#[cfg(feature = "aravis")]
 pub fn dump(args: &DumpArgs) -> Result<Exit, Failure> {
-    use crate::camera::{AravisCameras, CameraBackend};
-    use crate::config::NodeConfig;
+    let mut backend = backend()?;
     let mut named: Vec<(String, String)> = Vec::new();
     if let Some(file) = &args.config {
         let config = NodeConfig::load(file)?;
@@ -81,7 +79,7 @@ pub fn dump(args: &DumpArgs) -> Result<Exit, Failure> {
     named.extend(args.address.iter().map(|address| (address.clone(), address.clone())));
     let (mut dump, mut failures) = (Dump::default(), Vec::new());
     for (name, address) in named {
-        let read = AravisCameras.open(&address).and_then(|mut camera| {
+        let read = backend.open(&address).and_then(|mut camera| {
             let identity = camera.identity().clone();
             let device = format!("{} {} {}", identity.vendor, identity.model, identity.serial);
             Ok(Dumped { device, state: camera.state()? })
@@ -103,17 +101,11 @@ pub fn dump(args: &DumpArgs) -> Result<Exit, Failure> {
     }
     match failures.is_empty() {
         true => Ok(Exit::Done),
-        false => Err(Failure::new(Exit::Device, failures.join("\n"))),
+        false => Err(Failure::device(failures.join("\n"))),
     }
 }
 
-/// Runs `cameras dump`.
-#[cfg(not(feature = "aravis"))]
-pub fn dump(_args: &DumpArgs) -> Result<Exit, Failure> {
-    Err(super::cameras::cannot_see_cameras())
-}
-
-/// The states that a path has: of a dump, or of a session's recordings.
+/// Reads the states of cameras from a file of `cameras dump --json`, or from a session's recordings.
 fn load(path: &Path) -> Result<Dump, Failure> {
     let is_dump = path.extension().is_some_and(|extension| extension == "json");
     let dump = if is_dump {
@@ -122,7 +114,7 @@ fn load(path: &Path) -> Result<Dump, Failure> {
         json::from_slice(&text).map_err(|e| {
             let message =
                 format!("{}: expected what `fourdbody cameras dump --json` prints: {e}", path.display());
-            Failure::new(Exit::Corrupt, message)
+            Failure::corrupt(message)
         })?
     } else {
         let session = SessionReader::open_frames(path)?;
@@ -138,12 +130,11 @@ fn load(path: &Path) -> Result<Dump, Failure> {
             "{}: holds no state of a camera; expected a recording of cameras of this version, or a dump",
             path.display()
         );
-        return Err(Failure::new(Exit::Usage, message));
+        return Err(Failure::usage(message));
     }
     Ok(dump)
 }
 
-/// Runs `cameras diff`.
 pub fn diff(args: &DiffArgs) -> Result<Exit, Failure> {
     let (a, b) = (load(&args.a)?.cameras, load(&args.b)?.cameras);
     let mut names: BTreeSet<(&String, &String)> =
@@ -160,25 +151,17 @@ pub fn diff(args: &DiffArgs) -> Result<Exit, Failure> {
             args.b.display(),
             list(&b)
         );
-        return Err(Failure::new(Exit::Usage, message));
+        return Err(Failure::usage(message));
     }
-    let mut all = Vec::new();
-    for (one, other) in names {
-        all.push((one.clone(), differences(&a[one].state, &b[other].state)));
-    }
+    let compared = names.into_iter().map(|(one, other)| (one, differences(&a[one].state, &b[other].state)));
     if args.json {
-        let cameras: BTreeMap<&String, Vec<serde_json::Value>> = all
-            .iter()
-            .map(|(name, differences)| {
-                let lines = differences.iter();
-                let lines = lines.map(|(f, a, b)| serde_json::json!({ "feature": f, "a": a, "b": b }));
-                (name, lines.collect())
-            })
-            .collect();
+        let json = |(feature, a, b)| serde_json::json!({ "feature": feature, "a": a, "b": b });
+        let cameras: BTreeMap<&String, Vec<serde_json::Value>> =
+            compared.map(|(name, differences)| (name, differences.into_iter().map(json).collect())).collect();
         println!("{}", serde_json::json!({ "cameras": cameras }));
         return Ok(Exit::Done);
     }
-    for (name, differences) in all {
+    for (name, differences) in compared {
         println!("{name}  {} features differ", differences.len());
         let text = |value: Option<String>| value.map_or_else(|| "-".to_owned(), |value| printable(&value));
         for (feature, a, b) in differences {

@@ -1,17 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody cameras`: what answers to discovery; its subcommands: the whole state of cameras.
 
-use super::failure::Failure;
+use super::connect::backend;
+use super::failure::{Failure, print};
 use super::{camera_setup, camera_state};
 use crate::base::Exit;
+use crate::camera::CameraListing;
 
 /// List the cameras that answer to discovery, without opening any; with a subcommand: set a new bench up, or the whole
 /// state of cameras.
 #[derive(clap::Args)]
 #[command(args_conflicts_with_subcommands = true)]
-#[command(
-    after_help = "Examples:\n  fourdbody cameras --json\n  fourdbody cameras setup --config /etc/fourdbody/node.toml\n  fourdbody cameras dump --config /etc/fourdbody/node.toml"
-)]
+#[command(after_help = "\
+Examples:
+  fourdbody cameras --json
+  fourdbody cameras setup --config /etc/fourdbody/node.toml
+  fourdbody cameras dump --config /etc/fourdbody/node.toml")]
 pub struct Args {
     #[command(subcommand)]
     about: Option<About>,
@@ -27,7 +31,6 @@ enum About {
     Diff(camera_state::DiffArgs),
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match &args.about {
         Some(About::Setup(args)) => camera_setup::setup(args),
@@ -37,34 +40,15 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     }
 }
 
-#[cfg(feature = "aravis")]
 fn list(args: &Args) -> Result<Exit, Failure> {
-    use crate::camera::CameraBackend;
-    let mut list = crate::camera::AravisCameras.list();
+    let mut list = backend()?.list();
     list.sort_by(|a, b| a.address.cmp(&b.address));
-    if args.json {
-        println!("{}", serde_json::json!({ "cameras": list }));
-        return Ok(Exit::Done);
-    }
-    println!("{:<16} {:<12} {:<24} {:<20} protocol", "address", "serial", "vendor", "model");
-    for camera in &list {
-        println!(
-            "{:<16} {:<12} {:<24} {:<20} {}",
-            camera.address, camera.serial, camera.vendor, camera.model, camera.protocol
-        );
-    }
-    println!("{} found", list.len());
+    print(args.json, &serde_json::json!({ "cameras": list }), || {
+        println!("{:<16} {:<12} {:<24} {:<20} protocol", "address", "serial", "vendor", "model");
+        for CameraListing { address, serial, vendor, model, protocol, .. } in &list {
+            println!("{address:<16} {serial:<12} {vendor:<24} {model:<20} {protocol}");
+        }
+        println!("{} found", list.len());
+    });
     Ok(Exit::Done)
-}
-
-#[cfg(not(feature = "aravis"))]
-fn list(_args: &Args) -> Result<Exit, Failure> {
-    Err(cannot_see_cameras())
-}
-
-/// Why a binary without Aravis does not do what needs cameras.
-#[cfg(not(feature = "aravis"))]
-pub(super) fn cannot_see_cameras() -> Failure {
-    let message = "this binary was built without the feature `aravis` and cannot see cameras; build it with default features";
-    Failure::new(Exit::Usage, message)
 }

@@ -3,6 +3,7 @@
 
 use super::connect::Connect;
 use super::failure::Failure;
+use super::signals::on_signals;
 use crate::base::ids::one_line;
 use crate::base::{Exit, Fault};
 use crate::capture::participant::Participant;
@@ -13,15 +14,16 @@ use crate::control::request::StartOn;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
+use tokio::signal::unix::SignalKind;
 
 /// Capture sessions on all nodes; live progress; the verdict at the end.
 ///
 /// No trigger is emitted unless every camera of every node is armed and verified. Ctrl-C ends the train after
 /// the current trigger and keeps what was recorded. Exit code 3 when frames are missing (each has a gap record).
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  fourdbody capture --nodes http://127.0.0.1:7401,http://127.0.0.1:7402 --duration 10 --name walk-01"
-)]
+#[command(after_help = "\
+Example:
+  fourdbody capture --nodes http://127.0.0.1:7401,http://127.0.0.1:7402 --duration 10 --name walk-01")]
 pub struct Args {
     #[command(flatten)]
     connect: Connect,
@@ -49,11 +51,12 @@ pub struct Args {
     /// Seconds from the moment at which every node is ready to the first trigger.
     #[arg(long, value_name = "S", default_value_t = 0)]
     countdown: u32,
-    /// Begin at an edge of one of the HSU's inputs, 0 to 7: a hand switch, or another device's start. Waits 120 s for it.
+    /// Begin at an edge of one of the HSU's inputs, 0 to 7: a hand switch, or another device's start. Waits 120 s for
+    /// it.
     #[arg(long, value_name = "INPUT[:rising|:falling]")]
     start_on: Option<StartOn>,
-    /// Keep this many seconds before Record, which is Enter here: the train starts, frames are held in memory (1.1 GB a second
-    /// and node at full rate), nothing is written before. --duration and --triggers count from Record.
+    /// Keep this many seconds before Record, which is Enter here: the train starts, frames are held in memory (1.1 GB a
+    /// second and node at full rate), nothing is written before. --duration and --triggers count from Record.
     #[arg(long, value_name = "S", conflicts_with_all = ["start_on", "dry_run"])]
     pre_trigger: Option<f64>,
     /// Record this many seconds more after Ctrl-C; a second Ctrl-C ends at once.
@@ -90,7 +93,6 @@ impl Args {
     }
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let nodes = args.connect.clients()?;
     let nodes: Vec<Box<dyn Participant>> =
@@ -128,7 +130,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     };
     let (takes, fault) = match series::run(&nodes, &args.series(), &control, show, tell) {
         Ok(ended) => {
-            ended.stopped.iter().for_each(|told| eprintln!("{told}"));
+            ended.stopped.iter().for_each(|reason| eprintln!("{reason}"));
             (ended.takes, None)
         }
         Err((takes, fault)) => (takes, Some(fault)),
@@ -140,20 +142,20 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         print_json(&takes, args.takes);
     }
     if let Some(fault) = fault {
-        return Err(fault.into());
+        return Err(fault);
     }
     let worst = takes.iter().map(Captured::exit).find(|exit| *exit != Exit::Done);
     Ok(worst.unwrap_or(Exit::Done))
 }
 
 /// One take is an object, several are a list in one.
-fn print_json(takes: &[Captured], asked: u32) {
+fn print_json(takes: &[Captured], requested: u32) {
     match takes {
-        [] if asked == 1 => {}
-        [take] if asked == 1 => println!("{}", take.to_json()),
+        [] if requested == 1 => {}
+        [take] if requested == 1 => println!("{}", take.to_json()),
         takes => {
             let takes: Vec<_> = takes.iter().map(Captured::to_json).collect();
-            println!("{}", serde_json::json!({ "takes_asked": asked, "takes": takes }));
+            println!("{}", serde_json::json!({ "takes_asked": requested, "takes": takes }));
         }
     }
 }
@@ -184,26 +186,15 @@ fn record_on_enter(control: &Arc<Control>) {
     });
 }
 
-/// From here on Ctrl-C ends the capture, not the process; unless nobody has taken notice of the one before.
+/// From here on Ctrl-C ends the capture, not the process; a second one ends the process where the capture does not
+/// react.
 pub(super) fn stop_on_ctrl_c(control: &Arc<Control>) -> Result<(), Fault> {
-    use tokio::signal::unix::{SignalKind, signal};
     let control = Arc::clone(control);
-    let cannot = |e| Fault::new(Exit::Failure, format!("cannot watch for Ctrl-C: {e}"));
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(cannot)?;
-    // Registered before the thread runs: from here on no Ctrl-C kills the process.
-    let mut interrupts = {
-        let _inside = runtime.enter();
-        signal(SignalKind::interrupt()).map_err(cannot)?
-    };
-    std::thread::spawn(move || {
-        runtime.block_on(async {
-            while interrupts.recv().await.is_some() {
-                if control.ends() {
-                    std::process::exit(i32::from(Exit::Failure as u8));
-                }
-                control.stop();
-            }
-        });
-    });
-    Ok(())
+    on_signals(&[SignalKind::interrupt()], move || {
+        if control.ends() {
+            std::process::exit(i32::from(Exit::Failure as u8));
+        }
+        control.stop();
+    })
+    .map_err(|e| Fault::failed(format!("cannot watch for Ctrl-C: {e}")))
 }

@@ -17,12 +17,11 @@ use clap::{Parser, Subcommand};
 #[derive(Parser)]
 #[command(version, propagate_version = true)]
 pub struct Cli {
-    /// What to do.
     #[command(subcommand)]
     pub command: Command,
 }
 
-/// One command each.
+/// The commands, a variant for each.
 #[derive(Subcommand)]
 #[expect(missing_docs, reason = "each is documented by its arguments")]
 pub enum Command {
@@ -54,7 +53,6 @@ pub enum Command {
 }
 
 impl Cli {
-    /// Runs the command.
     pub fn run(&self) -> Result<Exit, Failure> {
         match &self.command {
             Command::Node(args) => node::run(args),

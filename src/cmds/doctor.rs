@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody doctor`: is this host fit for its cameras' rate?
 
+use super::connect::backend;
 use super::failure::Failure;
 use super::progress::Progress;
 use crate::base::Exit;
-use crate::camera::CameraBackend;
 use crate::config::NodeConfig;
 use crate::doctor::{Finding, Grade, examine, exit_of};
 use std::cell::RefCell;
@@ -16,9 +16,10 @@ use std::time::Duration;
 /// Limits and capabilities are those of the user who runs this: run it as the node's user. Exit codes: 0 fit
 /// (perhaps with warnings), 1 the host is unfit, 2 configuration, 5 a device failed.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example, with the user and the rights of the service:\n  sudo prlimit --rtprio=70 --memlock=unlimited setpriv --reuid=fourdbody --regid=fourdbody --init-groups \\\n    --inh-caps=+net_raw --ambient-caps=+net_raw fourdbody doctor --config /etc/fourdbody/node.toml --disk-seconds 10"
-)]
+#[command(after_help = "\
+Example, with the user and the rights of the service:
+  sudo prlimit --rtprio=70 --memlock=unlimited setpriv --reuid=fourdbody --regid=fourdbody --init-groups \\
+    --inh-caps=+net_raw --ambient-caps=+net_raw fourdbody doctor --config /etc/fourdbody/node.toml --disk-seconds 10")]
 pub struct Args {
     /// The node file; without it only the host is examined, for four cameras of 1920 x 1200 at 120 Hz.
     #[arg(long, value_name = "FILE")]
@@ -31,24 +32,18 @@ pub struct Args {
     disk_seconds: u64,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let config = args.config.as_deref().map(NodeConfig::load).transpose()?;
-    let mut backend = backend();
     let mut findings: Vec<Finding> = Vec::new();
     let disk_time = Duration::from_secs(args.disk_seconds);
-    let backend: Option<&mut dyn CameraBackend> = match &mut backend {
-        Some(backend) => Some(backend.as_mut()),
-        None => None,
-    };
-    // Begun by the test, and wiped away before the next verdict.
+    // Shown by the disk test, and cleared before the next verdict is printed.
     let progress: RefCell<Option<Progress>> = RefCell::default();
     let at = |done: Duration, all: Duration| {
         let mut progress = progress.borrow_mut();
         let progress = progress.get_or_insert_with(|| Progress::of("testing the disk", "ms"));
         progress.at(done.as_millis() as u64, all.as_millis() as u64);
     };
-    examine(config.as_ref(), backend, disk_time, &at, |finding| {
+    examine(config.as_ref(), backend().ok(), disk_time, &at, |finding| {
         drop(progress.take());
         // Each verdict at once: an absent camera takes seconds.
         if !args.json {
@@ -59,26 +54,12 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let exit = exit_of(&findings);
     let count = |grade| findings.iter().filter(|finding| finding.grade == grade).count();
     let (ok, warnings, failed) = (count(Grade::Ok), count(Grade::Warning), count(Grade::Failed));
+    let fit = exit == Exit::Done;
     if args.json {
         let node = config.as_ref().map(|config| &config.node);
-        let fit = exit == Exit::Done;
         println!("{}", serde_json::json!({ "fit": fit, "node": node, "findings": findings }));
     } else {
-        let verdict = match exit {
-            Exit::Done => "fit",
-            _ => "not fit",
-        };
-        println!("{verdict}: {ok} ok, {warnings} warnings, {failed} failed");
+        println!("{}: {ok} ok, {warnings} warnings, {failed} failed", if fit { "fit" } else { "not fit" });
     }
     Ok(exit)
-}
-
-#[cfg(feature = "aravis")]
-fn backend() -> Option<Box<dyn CameraBackend>> {
-    Some(Box::new(crate::camera::AravisCameras))
-}
-
-#[cfg(not(feature = "aravis"))]
-fn backend() -> Option<Box<dyn CameraBackend>> {
-    None
 }

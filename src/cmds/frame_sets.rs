@@ -6,13 +6,13 @@ use crate::base::Exit;
 use crate::play::process;
 use std::path::PathBuf;
 
-/// Make frame sets of a result as they are asked for: a trigger a line comes in, packed points go out.
+/// Make frame sets of a result on request: a trigger a line comes in, packed points go out.
 ///
 /// A node starts it for its console; `crates/node/src/play/process.rs` has the bytes.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  echo 0 | fourdbody frame-sets --rate-hz 120 --points 40000 results/walk-01 | wc --bytes"
-)]
+#[command(after_help = "\
+Example:
+  echo 0 | fourdbody frame-sets --rate-hz 120 --points 40000 results/walk-01 | wc --bytes")]
 pub struct Args {
     /// The directory that `fourdbody reconstruct` wrote.
     result: PathBuf,
@@ -24,10 +24,9 @@ pub struct Args {
     points: usize,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let (asked, told) = (std::io::stdin().lock(), std::io::stdout().lock());
-    process::serve(&args.result, args.rate_hz, args.points, asked, told)
-        .map_err(|e| Failure::new(Exit::Failure, format!("frame sets cannot be told: {e}")))?;
+    let (requests, points) = (std::io::stdin().lock(), std::io::stdout().lock());
+    process::serve(&args.result, args.rate_hz, args.points, requests, points)
+        .map_err(|e| Failure::failed(format!("frame sets cannot be exchanged with the node: {e}")))?;
     Ok(Exit::Done)
 }

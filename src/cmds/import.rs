@@ -4,17 +4,17 @@
 //! `DIR/CAMERA/INDEX.png`, index = trigger index. Everything is checked before anything is written, and the
 //! session appears under its name only when it is whole.
 
-use super::failure::Failure;
+use super::failure::{Failure, print};
 use super::progress::Progress;
 use crate::base::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
 use crate::base::image::read_png_grey;
-use crate::base::{Exit, regular};
+use crate::base::{Exit, Scratch, regular};
 use crate::batch::image_tree::{INDEX_END, ImageTree, Images};
 use crate::config::{Rig, RigCamera};
 use crate::record::envelope::pixels_crc;
 use crate::record::{
-    CameraHeader, ENVELOPE_CAPACITY, FrameMeta, GapCause, MAX_TRIGGERS, RecordError, Recording,
-    RecordingHeader, SessionEnd, Verdict, WriterOptions, node_dir, write_envelope,
+    CameraHeader, ENVELOPE_CAPACITY, FrameMeta, GapCause, MAX_TRIGGERS, Recording, RecordingHeader,
+    SessionEnd, Verdict, WriterOptions, node_dir, write_envelope,
 };
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
@@ -28,8 +28,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 #[command(after_help = "\
 DIR holds a directory per camera of the rig, with 8-bit grey images of the camera's size, named by trigger
 index: DIR/h0_up/0.png, DIR/h0_up/1.png, ... (leading zeros are fine). An index that some camera has and another
-has not becomes a gap record (not_recorded). Other files, and folders without images, are left out and named; two files of
-one index, and images of a camera that the rig has not, are refused.
+has not becomes a gap record (not_recorded). Other files, and folders without images, are left out and named; two
+files of one index, and images of a camera that the rig has not, are refused.
 
 Example:
   fourdbody import --rig config/rig.toml --images shots --out sessions/walk-01")]
@@ -37,7 +37,7 @@ pub struct Args {
     /// The rig that the images were taken with.
     #[arg(long)]
     rig: PathBuf,
-    /// Directory of image sequences.
+    /// The directory of image sequences, DIR above.
     #[arg(long)]
     images: PathBuf,
     /// The session's directory; must not exist.
@@ -51,16 +51,15 @@ pub struct Args {
 // What is listed can be recorded.
 const _: () = assert!(INDEX_END == MAX_TRIGGERS);
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let rig = Rig::load(&args.rig)?;
     let rig_text = regular::read_text(&args.rig, regular::TEXT_BYTES)
-        .map_err(|e| Failure::new(Exit::Usage, format!("{}: {e}", args.rig.display())))?;
+        .map_err(|e| Failure::usage(format!("{}: {e}", args.rig.display())))?;
     let name = session_name(&args.out)?;
     if args.out.exists() {
         let message =
             format!("{} exists; a session is never overwritten: choose another name", args.out.display());
-        return Err(Failure::new(Exit::Usage, message));
+        return Err(Failure::usage(message));
     }
     let tree = find_images(&rig, &args.images).map_err(|problems| all_problems(&args.images, &problems))?;
     if let Some(left_out) = ImageTree::remark(&tree.left_out) {
@@ -70,39 +69,25 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let triggers = sequences.values().filter_map(|s| s.last_key_value()).map(|(last, _)| last + 1).max();
     let triggers = triggers.unwrap_or(0);
     check_images(&rig, &sequences).map_err(|problems| all_problems(&args.images, &problems))?;
-    let partial = partial_path(&args.out);
     let session = Import { rig: &rig, rig_text: &rig_text, name: &name, sequences: &sequences, triggers };
-    let result = session.write(&partial).and_then(|verdicts| {
-        std::fs::rename(&partial, &args.out)
-            .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
-        Ok(verdicts)
+    // Removed unless it gets its name.
+    let partial = Scratch(partial_path(&args.out));
+    let verdicts = session.write(&partial.0)?;
+    std::fs::rename(&partial.0, &args.out).map_err(|e| Failure::at(&args.out, e))?;
+    let value = serde_json::json!({
+        "session": args.out, "triggers": triggers, "nodes": verdicts, "left_out": tree.left_out,
     });
-    let verdicts = match result {
-        Ok(verdicts) => verdicts,
-        Err(failure) => {
-            // The error that led here is the one to report.
-            let _ = std::fs::remove_dir_all(&partial);
-            return Err(failure);
-        }
-    };
-    if args.json {
-        println!(
-            "{}",
-            serde_json::json!({"session": args.out, "triggers": triggers, "nodes": verdicts, "left_out": tree.left_out})
-        );
-    } else {
-        for (node, verdict) in &verdicts {
-            println!("node {node}: {verdict}");
-        }
+    print(args.json, &value, || {
+        verdicts.iter().for_each(|(node, verdict)| println!("node {node}: {verdict}"));
         println!("{}: imported", args.out.display());
-    }
+    });
     let lossless = verdicts.values().all(|verdict| verdict.gaps() == 0);
     Ok(if lossless { Exit::Done } else { Exit::DataLoss })
 }
 
 fn session_name(out: &Path) -> Result<SessionName, Failure> {
     let name = out.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-    SessionName::parse(name).map_err(|e| Failure::new(Exit::Usage, format!("--out {}: {e}", out.display())))
+    SessionName::parse(name).map_err(|e| Failure::usage(format!("--out {}: {e}", out.display())))
 }
 
 /// A hidden neighbour on the same file system.
@@ -115,7 +100,7 @@ fn all_problems(images: &Path, problems: &[String]) -> Failure {
     let count = problems.len();
     let plural = if count == 1 { "" } else { "s" };
     let list = problems.join("\n  ");
-    Failure::new(Exit::Usage, format!("{}: {count} problem{plural}\n  {list}", images.display()))
+    Failure::usage(format!("{}: {count} problem{plural}\n  {list}", images.display()))
 }
 
 /// The images of every camera of the rig, and what lies beside them; or everything that is wrong with their names.
@@ -208,33 +193,31 @@ impl Import<'_> {
         created_ns: u64,
         advance: &dyn Fn(u64),
     ) -> Result<Verdict, Failure> {
-        let failed = |e: RecordError| Failure::new(Exit::Failure, e);
         let cameras: Vec<&RigCamera> = self.rig.cameras_of(node).map(|(_, camera)| camera).collect();
         let header = self.header(node, &cameras, created_ns);
-        let mut recording =
-            Recording::create(&node_dir(dir, node), header, WriterOptions::default()).map_err(failed)?;
+        let mut recording = Recording::create(&node_dir(dir, node), header, WriterOptions::default())
+            .map_err(Failure::failed)?;
         let period_ns = 1e9 / self.rig.trigger_rate_hz;
         for trigger in 0..self.triggers {
             let camera_time_ns = (trigger as f64 * period_ns).round() as u64;
-            let images: Vec<Option<Result<Vec<u8>, String>>> = cameras
+            let frames: Result<Vec<Option<ImportedFrame>>, String> = cameras
                 .par_iter()
                 .map(|camera| {
-                    let path = self.sequences.get(&camera.id).and_then(|s| s.get(&trigger));
-                    path.map(|path| message_of(camera, path, trigger, camera_time_ns, created_ns))
+                    let path = self.sequences.get(&camera.id).and_then(|images| images.get(&trigger));
+                    let frame = path.map(|path| frame_of(camera, path, trigger, camera_time_ns, created_ns));
+                    frame.transpose()
                 })
                 .collect();
-            for (place, image) in images.into_iter().enumerate() {
-                let Some(message) = image.transpose().map_err(|e| Failure::new(Exit::Usage, e))? else {
-                    continue;
-                };
-                let envelope = crate::record::parse_envelope(&message);
-                let meta = envelope.map_err(|e| Failure::new(Exit::Failure, e))?.meta;
-                recording.frame(place, &meta, &message).map_err(failed)?;
-            }
-            for (place, camera) in cameras.iter().enumerate() {
-                if !self.sequences.get(&camera.id).is_some_and(|s| s.contains_key(&trigger)) {
-                    recording.gap(place, TriggerIndex(trigger), GapCause::NotRecorded).map_err(failed)?;
+            let frames = frames.map_err(Failure::usage)?;
+            for (place, frame) in frames.iter().enumerate() {
+                if let Some((meta, message)) = frame {
+                    recording.frame(place, meta, message).map_err(Failure::failed)?;
                 }
+            }
+            for (place, _) in frames.iter().enumerate().filter(|(_, frame)| frame.is_none()) {
+                recording
+                    .gap(place, TriggerIndex(trigger), GapCause::NotRecorded)
+                    .map_err(Failure::failed)?;
             }
             advance(trigger + 1);
         }
@@ -244,7 +227,7 @@ impl Import<'_> {
             absent: GapCause::NotRecorded,
             host_time_ns: created_ns,
         };
-        recording.finish(end).map_err(failed)
+        recording.finish(end).map_err(Failure::failed)
     }
 
     fn header(&self, node: &NodeId, cameras: &[&RigCamera], created_ns: u64) -> RecordingHeader {
@@ -276,14 +259,17 @@ impl Import<'_> {
     }
 }
 
-/// An image as a frame's message.
-fn message_of(
+/// A frame's metadata, and its message with the envelope in front of the pixels.
+type ImportedFrame = (FrameMeta, Vec<u8>);
+
+/// Reads an image of a camera as a frame of this trigger.
+fn frame_of(
     camera: &RigCamera,
     path: &Path,
     trigger: u64,
     camera_time_ns: u64,
     created_ns: u64,
-) -> Result<Vec<u8>, String> {
+) -> Result<ImportedFrame, String> {
     let pixels = read_image(camera, path)?;
     let meta = FrameMeta {
         trigger: TriggerIndex(trigger),
@@ -298,5 +284,5 @@ fn message_of(
     let length = write_envelope(&mut message, &camera.id, &meta).map_err(|e| e.to_string())?;
     message.drain(..ENVELOPE_CAPACITY - length);
     message.extend_from_slice(&pixels);
-    Ok(message)
+    Ok((meta, message))
 }

@@ -1,52 +1,41 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! One file per command of the command line: its arguments, and what it prints.
 //!
-//! Results go to standard output, diagnostics to standard error. Everything a command does lives in the
-//! library's other modules; here is only the talking.
+//! Results go to standard output, diagnostics to standard error. The work of a command is done by the other modules of
+//! the library; here are only its arguments and its output.
 
-pub mod board;
-pub mod calibrate;
+mod board;
+mod calibrate;
 mod calibrate_live;
-pub mod calibration;
+mod calibration;
 mod camera_setup;
 mod camera_state;
-pub mod cameras;
-pub mod capture;
-pub mod check_config;
+mod cameras;
+mod capture;
+mod check_config;
 mod cli;
-pub mod cluster;
-pub mod connect;
-pub mod doctor;
-pub mod export;
+mod cluster;
+mod connect;
+mod doctor;
+mod export;
 mod failure;
-pub mod frame_sets;
-pub mod import;
-pub mod info;
-pub mod node;
-pub mod pattern;
+mod frame_sets;
+mod import;
+mod info;
+mod node;
+mod pattern;
 mod progress;
-pub mod prune;
-pub mod reconstruct;
-pub mod recover;
-pub mod report;
-pub mod status;
-pub mod token;
-pub mod validate;
-pub mod verify;
-pub mod view;
-pub mod worker;
+mod prune;
+mod reconstruct;
+mod recover;
+mod report;
+mod signals;
+mod status;
+mod token;
+mod validate;
+mod verify;
+mod view;
+mod worker;
 
 pub use cli::{Cli, Command};
 pub use failure::Failure;
-
-use crate::base::ids::one_line;
-use std::path::PathBuf;
-
-/// Says which files a command has written: a line each, or JSON.
-fn tell_files(files: &[PathBuf], json: bool) {
-    if json {
-        println!("{}", serde_json::json!({ "files": files }));
-    } else {
-        files.iter().for_each(|path| println!("{}", one_line(path.display())));
-    }
-}

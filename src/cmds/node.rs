@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody node`: the daemon of one acquisition PC.
 
+use super::connect::backend;
 use super::failure::Failure;
+use super::signals::{STOP, Signals};
 use crate::api::{self, Auth, Listeners, NodeHandle, Services, Shared, State};
 use crate::base::Exit;
 use crate::config::NodeConfig;
@@ -14,13 +16,14 @@ use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// Run the daemon of one acquisition PC: cameras, HSU link, recordings, control API.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  fourdbody node --config config/node-a.toml")]
+#[command(after_help = "\
+Example:
+  fourdbody node --config config/node-a.toml")]
 pub struct Args {
-    /// The node file.
+    /// The node file, for instance config/node-a.toml.
     #[arg(long, value_name = "FILE", required_unless_present = "print_openapi")]
     config: Option<PathBuf>,
     /// Print the description of the control API (OpenAPI, JSON) and end.
@@ -28,8 +31,8 @@ pub struct Args {
     print_openapi: bool,
 }
 
-/// How long the API answers after the end for whoever has not fetched the verdict yet: a capture asks ten times a
-/// second.
+/// How long the API answers after the end for clients that have not fetched the verdict yet: a capture polls ten times
+/// a second.
 const READ_PATIENCE: Duration = Duration::from_secs(5);
 
 /// Runs the command until SIGTERM or SIGINT. A session in progress is ended and gets its verdict, and the API answers
@@ -37,7 +40,7 @@ const READ_PATIENCE: Duration = Duration::from_secs(5);
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let Some(config) = args.config.as_deref().filter(|_| !args.print_openapi) else {
         let text = serde_json::to_string_pretty(&api::description());
-        println!("{}", text.map_err(|e| Failure::new(Exit::Failure, e))?);
+        println!("{}", text.map_err(Failure::failed)?);
         return Ok(Exit::Done);
     };
     let config = NodeConfig::load(config)?;
@@ -48,7 +51,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .worker_threads(1)
         .enable_all()
         .build()
-        .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the API's runtime: {e}")))?;
+        .map_err(|e| Failure::failed(format!("cannot start the API's runtime: {e}")))?;
     let auth = Auth::new(&config.api)?;
     let listeners = runtime.block_on(Listeners::bind(&config.api))?;
     // Before anything is recorded: a recording in progress looks the same.
@@ -56,9 +59,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     unfinished.retain(|found| found.node == config.node);
     unfinished.iter().for_each(warn_of);
     let mut signals = runtime
-        .block_on(async { StopSignals::watch() })
-        .map_err(|e| Failure::new(Exit::Failure, format!("cannot watch signals: {e}")))?;
-    let driver = NodeThread::start(config.clone(), backend).map_err(|e| Failure::new(Exit::Failure, e))?;
+        .block_on(async { Signals::watch(&STOP) })
+        .map_err(|e| Failure::failed(format!("cannot watch signals: {e}")))?;
+    let driver = NodeThread::start(config.clone(), backend).map_err(Failure::failed)?;
     driver.status.write().unwrap_or_else(PoisonError::into_inner).interrupted = unfinished;
     let read = api::OutcomeRead::default();
     let handle = NodeHandle {
@@ -70,11 +73,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let (listen, socket) =
         (config.api.listen, config.api.socket.as_ref().map(|s| s.path.display().to_string()));
     let notifier = Notifier::start(Arc::clone(&driver.status), Arc::clone(&driver.telemetry))
-        .map_err(|e| Failure::new(Exit::Failure, format!("cannot start a thread: {e}")))?;
+        .map_err(|e| Failure::failed(format!("cannot start a thread: {e}")))?;
     let services =
         Services::start(&config, driver.commands.clone(), Arc::clone(&driver.status), driver.taps.clone())?;
     let shared = State::new(config, handle, auth, services, &listeners)
-        .map_err(|e| Failure::new(Exit::Failure, format!("cannot start the audit log's thread: {e}")))?;
+        .map_err(|e| Failure::failed(format!("cannot start the audit log's thread: {e}")))?;
     tracing::info!(listen = listen.map(tracing::field::display), socket, "node is up");
     let quick_looks = shared.services.quick_looks.clone();
     let live = shared.services.live.clone();
@@ -84,12 +87,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     match ended {
         Ended::Orderly(served) => {
             driver.shut_down();
-            let failed = |e| Failure::new(Exit::Failure, format!("the control API failed: {e}"));
+            let failed = |e| Failure::failed(format!("the control API failed: {e}"));
             served.map(|()| Exit::Done).map_err(failed)
         }
         // The driver is not waited for: its recording is left as by a crash.
-        Ended::Forced => Err(Failure::new(
-            Exit::Failure,
+        Ended::Forced => Err(Failure::failed(
             "ended by a second signal; a session in progress is unfinished, see `fourdbody verify`",
         )),
     }
@@ -104,11 +106,11 @@ fn warn_of(found: &Interrupted) {
     );
 }
 
-/// How serving ended.
+/// How serving the API ended.
 enum Ended {
     /// After the first signal, or by a failure of the API.
     Orderly(std::io::Result<()>),
-    /// By a second signal.
+    /// By a second signal, which does not wait.
     Forced,
 }
 
@@ -118,7 +120,7 @@ async fn serve(
     driver: &NodeThread,
     notifier: Option<Notifier>,
     read: &api::OutcomeRead,
-    signals: &mut StopSignals,
+    signals: &mut Signals,
 ) -> Ended {
     let (end, ended) = tokio::sync::oneshot::channel::<()>();
     let until_end = async move { drop(ended.await) };
@@ -144,52 +146,19 @@ async fn serve(
     }
 }
 
-/// Waits until the driver has ended and the outcome of its last session was fetched, or nobody seems to want it.
+/// Waits until the driver has ended and the outcome of its last session was fetched, or no client has fetched it within
+/// `READ_PATIENCE`.
 async fn until_fetched(driver: &NodeThread, read: &api::OutcomeRead) {
     const POLL: Duration = Duration::from_millis(20);
     while !driver.has_ended() {
         tokio::time::sleep(POLL).await;
     }
-    let status = &driver.status;
-    let last = match status.read() {
-        Ok(status) => status.session.as_ref().map(|session| session.session_id),
-        Err(poisoned) => poisoned.into_inner().session.as_ref().map(|session| session.session_id),
-    };
+    let status = driver.status.read().unwrap_or_else(PoisonError::into_inner);
+    let last = status.session.as_ref().map(|session| session.session_id);
+    drop(status);
     let Some(last) = last else { return };
     let begin = Instant::now();
     while read.load(Ordering::Acquire) != last && begin.elapsed() < READ_PATIENCE {
         tokio::time::sleep(POLL).await;
     }
-}
-
-/// SIGTERM and SIGINT.
-pub(super) struct StopSignals {
-    terminate: Signal,
-    interrupt: Signal,
-}
-
-impl StopSignals {
-    /// From here on neither ends the process by itself. Needs a runtime.
-    pub(super) fn watch() -> std::io::Result<Self> {
-        let (terminate, interrupt) = (signal(SignalKind::terminate())?, signal(SignalKind::interrupt())?);
-        Ok(Self { terminate, interrupt })
-    }
-
-    pub(super) async fn next(&mut self) {
-        tokio::select! {
-            _ = self.terminate.recv() => {}
-            _ = self.interrupt.recv() => {}
-        }
-    }
-}
-
-#[cfg(feature = "aravis")]
-fn backend() -> Result<Box<dyn crate::camera::CameraBackend>, Failure> {
-    Ok(Box::new(crate::camera::AravisCameras))
-}
-
-#[cfg(not(feature = "aravis"))]
-fn backend() -> Result<Box<dyn crate::camera::CameraBackend>, Failure> {
-    let message = "this binary was built without the feature `aravis` and cannot drive cameras; build it with default features";
-    Err(Failure::new(Exit::Usage, message))
 }

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody pattern`: the images to project.
 
-use super::failure::Failure;
-use super::tell_files;
+use super::failure::{Failure, number_in, print_files};
 use crate::base::Exit;
 use crate::base::image::{Mono8, write_png_grey};
 use crate::config::Rig;
@@ -10,35 +9,30 @@ use std::path::PathBuf;
 
 /// Write the image that each head projects, as PNG: OUT/HEAD.png.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example:\n  fourdbody pattern --rig config/rig.toml --out pattern\n  fourdbody pattern --rig config/rig.toml --out pattern --gamma 2.2"
-)]
+#[command(after_help = "\
+Example:
+  fourdbody pattern --rig config/rig.toml --out pattern
+  fourdbody pattern --rig config/rig.toml --out pattern --gamma 2.2")]
 pub struct Args {
-    /// The rig file.
+    /// The rig file, for instance config/rig.toml.
     #[arg(long, value_name = "FILE")]
     rig: PathBuf,
-    /// Where the images go.
+    /// The directory for the images; made if it is not there.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Exponent by which the projectors turn panel values into light, in place of the rig file's: the images undo it.
     /// `fourdbody calibrate` measures it.
-    #[arg(long, value_name = "G", value_parser = parse_gamma)]
+    #[arg(long, value_name = "G", value_parser = number_in(0.2..=5.0, "an exponent from 0.2 to 5, for instance 2.2"))]
     gamma: Option<f64>,
     /// Print the paths as JSON: {"files": [...]}.
     #[arg(long)]
     json: bool,
 }
 
-fn parse_gamma(text: &str) -> Result<f64, String> {
-    let gamma = text.parse().ok().filter(|gamma: &f64| (0.2..=5.0).contains(gamma));
-    gamma.ok_or_else(|| format!("expected an exponent from 0.2 to 5, for instance 2.2, found {text:?}"))
-}
-
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut rig = Rig::load(&args.rig)?;
     rig.pattern.gamma = args.gamma.unwrap_or(rig.pattern.gamma);
-    let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display()));
+    let fail = |e: std::io::Error| Failure::at(&args.out, e);
     std::fs::create_dir_all(&args.out).map_err(fail)?;
     let mut files = Vec::new();
     for head in &rig.heads {
@@ -47,6 +41,6 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         write_png_grey(&path, Mono8::from(&panel)).map_err(fail)?;
         files.push(path);
     }
-    tell_files(&files, args.json);
+    print_files(&files, args.json);
     Ok(Exit::Done)
 }

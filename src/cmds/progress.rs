@@ -6,9 +6,11 @@ use std::io::IsTerminal;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
+/// Work that takes less time shows no progress.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// Time between two lines on a terminal, where each replaces the one before.
 const REFRESH: Duration = Duration::from_millis(200);
-/// Into a file.
+/// Time between two lines in a file, which keeps them all.
 const LOGGED: Duration = Duration::from_secs(30);
 
 /// Shows how far something is, on standard error.
@@ -31,7 +33,7 @@ impl Progress {
         Self::new(what, (unit, 1))
     }
 
-    /// Counts bytes.
+    /// Counts bytes, and prints them as MiB.
     pub fn of_bytes(what: &'static str) -> Self {
         Self::new(what, ("MiB", 1 << 20))
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `fourdbody prune`: which recordings may be deleted, and deletes them when asked.
+//! `fourdbody prune`: which recordings may be deleted, and deletes them on request.
 
 use super::failure::Failure;
 use crate::base::Exit;
@@ -9,11 +9,12 @@ use crate::worker::retention::{Judgement, delete, judge};
 use crate::worker::state::Job;
 use std::path::PathBuf;
 
-/// Show which recordings are verified, reconstructed and copied to the archive, and delete them when asked.
+/// Show which recordings are verified, reconstructed and copied to the archive, and delete them on request.
 ///
-/// Without names all sessions that were reconstructed or set aside are looked at, by the sizes of their copies. With names every byte is
-/// compared with the copy, which is then verified where it lies, and with --delete the recordings that pass are deleted. A copy is another
-/// file: a link to the recording, or its directory mounted at a second place, is none. Nothing else ever deletes a recording.
+/// Without names all sessions that were reconstructed or set aside are looked at, by the sizes of their copies. With
+/// names every byte is compared with the copy, which is then verified where it lies, and with --delete the recordings
+/// that pass are deleted. A copy is another file: a link to the recording, or its directory mounted at a second place,
+/// is none. Nothing else ever deletes a recording.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Exit code 4: a session that was named must stay.
@@ -22,7 +23,7 @@ Examples:
   fourdbody prune --config /etc/fourdbody/worker.toml
   fourdbody prune --config /etc/fourdbody/worker.toml --delete walk-01 walk-02")]
 pub struct Args {
-    /// The worker file.
+    /// The worker file, for instance /etc/fourdbody/worker.toml.
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
     /// Sessions to check, byte by byte.
@@ -35,12 +36,11 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let config = WorkerConfig::load(&args.config)?;
     let named = !args.sessions.is_empty();
     let sessions = if named { args.sessions.clone() } else { reconstructed(&config) };
-    let (mut exit, mut told) = (Exit::Done, Vec::new());
+    let (mut exit, mut judged) = (Exit::Done, Vec::new());
     for session in &sessions {
         let judgement = judge(&config, session, named);
         if named && !judgement.stays.is_empty() {
@@ -48,17 +48,17 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         }
         let mut deleted = false;
         if args.delete && judgement.stays.is_empty() {
-            delete(&judgement).map_err(|e| Failure::new(Exit::Corrupt, format!("{session}: {e}")))?;
+            delete(&judgement).map_err(|e| Failure::corrupt(format!("{session}: {e}")))?;
             deleted = true;
         }
         if args.json {
-            told.push(serde_json::json!({ "judgement": judgement, "deleted": deleted }));
+            judged.push(serde_json::json!({ "judgement": judgement, "deleted": deleted }));
         } else {
             print(&judgement, deleted, named);
         }
     }
     if args.json {
-        println!("{}", serde_json::json!({ "sessions": told }));
+        println!("{}", serde_json::json!({ "sessions": judged }));
     }
     Ok(exit)
 }

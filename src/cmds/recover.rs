@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody recover`: makes a complete recording of what a crash or a damaged disk has left.
 
-use super::failure::Failure;
+use super::failure::{Failure, print};
 use super::progress::Progress;
 use crate::base::Exit;
 use crate::record::recover::{RecoverError, RecoveredRecording, Recovery, recover};
-use std::path::PathBuf;
+use serde_json::json;
+use std::path::{Path, PathBuf};
 
 /// Lines that are printed of damage and of added gap records; JSON has all.
 const MAX_LINES: usize = 20;
@@ -32,22 +33,18 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let progress = Progress::of_bytes("recovering");
     let result = recover(&args.path, &args.out, &|done, total| progress.at(done, total));
     drop(progress);
     let recovery = result.map_err(|error| Failure::new(exit_of(&error, &args.path), error))?;
     let exit = if recovery.lossless() { Exit::Done } else { Exit::DataLoss };
-    if args.json {
-        println!("{}", serde_json::json!({"exit": exit as u8, "recovery": recovery}));
-    } else {
-        print(&recovery);
-    }
+    let value = json!({ "exit": exit as u8, "recovery": recovery });
+    print(args.json, &value, || print_recovery(&recovery));
     Ok(exit)
 }
 
-fn exit_of(error: &RecoverError, path: &std::path::Path) -> Exit {
+fn exit_of(error: &RecoverError, path: &Path) -> Exit {
     match error {
         // A path that does not exist is a mistake of usage, not of the data.
         RecoverError::NotFound(_) if !path.exists() => Exit::Usage,
@@ -57,7 +54,7 @@ fn exit_of(error: &RecoverError, path: &std::path::Path) -> Exit {
     }
 }
 
-fn print(recovery: &Recovery) {
+fn print_recovery(recovery: &Recovery) {
     for recording in &recovery.recordings {
         print_recording(recording);
     }

@@ -12,26 +12,32 @@ use std::path::{Path, PathBuf};
 
 /// Write a page about a session: verdict, gaps over time, light per camera, latencies, points, a turning cloud.
 ///
-/// The page is one HTML file that needs no network. Checksums are not computed: see `fourdbody verify`. With --play it has
-/// all frame sets of --clouds and plays them.
+/// The page is one HTML file that needs no network. Checksums are not computed: see `fourdbody verify`. With --play it
+/// has all frame sets of --clouds and plays them.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Exit code 0: the page has all of it; 2: there is no recording; 3: files of --clouds are missing, and the page names them; 4: a recording, or all of it, cannot be read, and the page says so, or a file of --clouds is of something else.\n\nExample:\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --out walk-01.html\n  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --play --out walk-01.html"
-)]
+#[command(after_help = "\
+Exit code 0: the page has all of it; 2: there is no recording; 3: files of --clouds are missing, and the page names
+them; 4: a recording, or all of it, cannot be read, and the page states so, or a file of --clouds is of something
+else.
+
+Example:
+  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --out walk-01.html
+  fourdbody report sessions/walk-01 --clouds clouds/walk-01 --play --out walk-01.html")]
 pub struct Args {
     /// A session, a recording of one node, or a single segment.
     session: PathBuf,
     /// What `fourdbody reconstruct` made of it: adds points per frame and a cloud.
     #[arg(long, value_name = "DIR")]
     clouds: Option<PathBuf>,
-    /// The page.
+    /// The HTML file to write.
     #[arg(long, value_name = "HTML")]
     out: PathBuf,
     /// Play all frame sets instead of showing one cloud.
     #[arg(long, requires = "clouds")]
     play: bool,
     /// Points of all played frame sets together, MiB before they are packed; fewer of each where there are many.
-    #[arg(long, value_name = "MIB", default_value_t = 512, requires = "play", value_parser = clap::value_parser!(u64).range(1..=4096))]
+    #[arg(long, value_name = "MIB", default_value_t = 512, requires = "play")]
+    #[arg(value_parser = clap::value_parser!(u64).range(1..=4096))]
     play_mib: u64,
     /// Print what was written as JSON: {"page": PATH, "bytes": N, "exposure": {CAMERA: {"ev": N, "saturated": N}},
     /// "unreadable": [...]}.
@@ -39,23 +45,23 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let report = gather(&args.session, args.clouds.as_deref())?;
     let playing = match &args.clouds {
         Some(clouds) if args.play => {
-            Some(Playing::open(clouds, args.play_mib << 20).map_err(|e| Failure::new(Exit::Corrupt, e))?)
+            Some(Playing::open(clouds, args.play_mib << 20).map_err(Failure::corrupt)?)
         }
         _ => None,
     };
     let page = render(&report, playing.as_ref());
-    let bytes = write(&args.out, &page, playing.as_ref())
-        .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", args.out.display())))?;
+    let bytes = write(&args.out, &page, playing.as_ref()).map_err(|e| Failure::at(&args.out, e))?;
     if args.json {
         let unreadable: Vec<String> = report.unreadable.iter().map(ToString::to_string).collect();
         let exposure: BTreeMap<String, Option<Exposure>> = exposures(&report).collect();
-        let told = serde_json::json!({ "page": args.out, "bytes": bytes, "exposure": exposure, "unreadable": unreadable });
-        println!("{told}");
+        let written = serde_json::json!({
+            "page": args.out, "bytes": bytes, "exposure": exposure, "unreadable": unreadable,
+        });
+        println!("{written}");
     } else {
         for (camera, exposure) in exposures(&report) {
             let right = exposure.map_or("no fringes to tell by".to_owned(), |exposure| exposure.to_string());

@@ -10,7 +10,9 @@ use crate::telemetry::Grade;
 
 /// Show the health of the nodes: cameras, HSU link, disk, session.
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  fourdbody status --nodes http://127.0.0.1:7401,http://127.0.0.1:7402")]
+#[command(after_help = "\
+Example:
+  fourdbody status --nodes http://127.0.0.1:7401,http://127.0.0.1:7402")]
 pub struct Args {
     #[command(flatten)]
     connect: Connect,
@@ -19,8 +21,8 @@ pub struct Args {
     json: bool,
 }
 
-/// Runs the command. Exit code 5 when a node does not answer or misses a device; what is judged bad besides is shown, and
-/// changes no exit code.
+/// Runs the command. Exit code 5 when a node does not answer or misses a device; what is judged bad besides is shown,
+/// and changes no exit code.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut exit = Exit::Done;
     let mut answers = Vec::new();

@@ -8,12 +8,17 @@ use std::path::{Path, PathBuf};
 
 /// Make, renew, revoke and list the tokens of a node.
 ///
-/// The node keeps names, roles and hashes (api.tokens in the node file); the secret lies only in the file that is given to
-/// its user. A running node notices changes within a second.
+/// The node keeps names, roles and hashes (api.tokens in the node file); the secret lies only in the file that is given
+/// to its user. A running node notices changes within a second.
 #[derive(clap::Args)]
-#[command(
-    after_help = "Example, for the node of the service:\n  sudo -u fourdbody fourdbody token new --tokens /var/lib/fourdbody/tokens --role operate --name anna --file /var/lib/fourdbody/anna.token\n  fourdbody status --nodes https://node-a.lab:7401 --token-file anna.token\n  sudo -u fourdbody fourdbody token new --tokens /var/lib/fourdbody/tokens --role operate --name anna --file /var/lib/fourdbody/anna.token --replace\n  sudo -u fourdbody fourdbody token revoke --tokens /var/lib/fourdbody/tokens --name anna"
-)]
+#[command(after_help = "\
+Example, for the node of the service:
+  sudo -u fourdbody fourdbody token new --tokens /var/lib/fourdbody/tokens --role operate --name anna --file \
+/var/lib/fourdbody/anna.token
+  fourdbody status --nodes https://node-a.lab:7401 --token-file anna.token
+  sudo -u fourdbody fourdbody token new --tokens /var/lib/fourdbody/tokens --role operate --name anna --file \
+/var/lib/fourdbody/anna.token --replace
+  sudo -u fourdbody fourdbody token revoke --tokens /var/lib/fourdbody/tokens --name anna")]
 pub struct Args {
     #[command(subcommand)]
     action: Action,
@@ -29,7 +34,7 @@ enum Action {
         /// What its bearer may do: view, operate, admin; or peer, for another node.
         #[arg(long)]
         role: Role,
-        /// Whose it is; the audit log says so.
+        /// The name of its user, which the audit log records.
         #[arg(long, value_parser = token_name)]
         name: String,
         /// Where the secret goes, mode 0600.
@@ -41,16 +46,16 @@ enum Action {
     },
     /// Take a token back: who shows it is refused, and logins with it end.
     Revoke {
-        /// The node's list (api.tokens).
+        /// The node's list of tokens (api.tokens).
         #[arg(long, value_name = "FILE")]
         tokens: PathBuf,
-        /// Whose it is.
+        /// The name of the token's user.
         #[arg(long)]
         name: String,
     },
-    /// Show names and roles.
+    /// Show the names and roles of all tokens.
     List {
-        /// The node's list (api.tokens).
+        /// The node's list of tokens (api.tokens).
         #[arg(long, value_name = "FILE")]
         tokens: PathBuf,
         /// Print JSON instead of text.
@@ -59,7 +64,6 @@ enum Action {
     },
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match &args.action {
         Action::New { tokens, role, name, file, replace } => new(tokens, *role, name, file, *replace),
@@ -73,10 +77,10 @@ fn new(path: &Path, role: Role, name: &str, file: &Path, replace: bool) -> Resul
     let known = list.0.iter().position(|token| token.name == name);
     if known.is_some() && !replace {
         let message = format!("{} has a token for {name} already; renew it with --replace", path.display());
-        return Err(Failure::new(Exit::Usage, message));
+        return Err(Failure::usage(message));
     }
-    let secret = random_text()
-        .map_err(|e| Failure::new(Exit::Failure, format!("the system gives no random numbers: {e}")))?;
+    let secret =
+        random_text().map_err(|e| Failure::failed(format!("the system gives no random numbers: {e}")))?;
     let token = Token { name: name.to_owned(), role, hash: SecretHash::of(&secret) };
     match known {
         Some(place) => list.0[place] = token,
@@ -96,7 +100,7 @@ fn revoke(path: &Path, name: &str) -> Result<Exit, Failure> {
     if list.0.len() == before {
         let names: Vec<&str> = list.0.iter().map(|token| token.name.as_str()).collect();
         let message = format!("{} has no token for {name}; it has: {}", path.display(), names.join(", "));
-        return Err(Failure::new(Exit::Usage, message));
+        return Err(Failure::usage(message));
     }
     list.save(path)?;
     println!("{name}: revoked");

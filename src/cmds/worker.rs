@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody worker`: reconstructs by itself what the nodes have recorded.
 
-use super::failure::Failure;
+use super::failure::{Failure, print};
+use super::signals::{STOP, on_signals};
 use crate::base::Exit;
 use crate::base::ids::one_line;
 use crate::config::WorkerConfig;
@@ -13,8 +14,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Reconstruct by itself what the nodes have recorded, when nothing else is to be done.
 ///
-/// Sessions are verified first, and worked on at idle priority; a capture comes before everything. Results are in a directory
-/// each below `results` of the worker file. SIGTERM and SIGINT end the worker; what is finished stays and is not made again.
+/// Sessions are verified first, and worked on at idle priority; a capture comes before everything. Results are in a
+/// directory each below `results` of the worker file. SIGTERM and SIGINT end the worker; what is finished stays and is
+/// not made again.
 #[derive(clap::Args)]
 #[command(after_help = "\
 Exit code 3 (with --once): sessions are left that are not ready, or were set aside.
@@ -25,7 +27,7 @@ Examples:
   fourdbody worker --config worker.toml --first walk-07
   fourdbody worker --config worker.toml --retry walk-03")]
 pub struct Args {
-    /// The worker file.
+    /// The worker file, for instance /etc/fourdbody/worker.toml.
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
     /// End when there is nothing to do.
@@ -40,12 +42,11 @@ pub struct Args {
     /// Only let a session that was set aside be tried again, with the calibration that is configured now.
     #[arg(long, value_name = "SESSION")]
     retry: Option<String>,
-    /// With --state: print JSON.
+    /// With --state: print JSON instead of text.
     #[arg(long, requires = "state")]
     json: bool,
 }
 
-/// Runs the command.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let config = WorkerConfig::load(&args.config)?;
     if args.state {
@@ -53,8 +54,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     }
     if let Some(session) = &args.first {
         let path = config.results.display().to_string();
-        ask_first(&config.results, session)
-            .map_err(|e| Failure::new(Exit::Failure, format!("{path}: {e}")))?;
+        ask_first(&config.results, session).map_err(|e| Failure::failed(format!("{path}: {e}")))?;
         return Ok(Exit::Done);
     }
     if let Some(session) = &args.retry {
@@ -62,47 +62,28 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         return Ok(Exit::Done);
     }
     let stop = Arc::new(AtomicBool::new(false));
-    stop_on_signals(&stop)?;
+    let stopped = Arc::clone(&stop);
+    on_signals(&STOP, move || stopped.store(true, Ordering::Release))
+        .map_err(|e| Failure::failed(format!("signals cannot be watched: {e}")))?;
     let complete = Worker::new(config, stop)?.run(args.once)?;
     Ok(if complete || !args.once { Exit::Done } else { Exit::DataLoss })
-}
-
-fn stop_on_signals(stop: &Arc<AtomicBool>) -> Result<(), Failure> {
-    let failed = |e: std::io::Error| Failure::new(Exit::Failure, format!("signals cannot be watched: {e}"));
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
-    let stop = Arc::clone(stop);
-    let watch = move || {
-        let signalled = runtime.block_on(async {
-            let mut signals = super::node::StopSignals::watch()?;
-            signals.next().await;
-            std::io::Result::Ok(())
-        });
-        if let Err(error) = signalled {
-            tracing::warn!("signals cannot be watched: {error}");
-        }
-        stop.store(true, Ordering::Release);
-    };
-    std::thread::Builder::new().name("signals".to_owned()).spawn(watch).map(drop).map_err(failed)
 }
 
 fn state(config: &WorkerConfig, json: bool) -> Result<Exit, Failure> {
     let state = WorkerState::load(&config.results).ok_or_else(|| {
         let message = format!("no worker has been at work on {}; start one", config.results.display());
-        Failure::new(Exit::Usage, message)
+        Failure::usage(message)
     })?;
-    if json {
-        println!("{}", serde_json::json!(state));
-        return Ok(Exit::Done);
-    }
-    println!("{}", one_line(state.line()));
-    state.queued.iter().for_each(|name| println!("  queued     {}", one_line(name)));
-    state
-        .not_yet
-        .iter()
-        .for_each(|(name, reason)| println!("  not yet    {}", one_line(format!("{name}: {reason}"))));
-    state
-        .set_aside
-        .iter()
-        .for_each(|(name, reason)| println!("  set aside  {}", one_line(format!("{name}: {reason}"))));
+    let lines = |title: &str, named: &[(String, String)]| {
+        named
+            .iter()
+            .for_each(|(name, reason)| println!("  {title:<10} {}", one_line(format!("{name}: {reason}"))));
+    };
+    print(json, &serde_json::json!(state), || {
+        println!("{}", one_line(state.line()));
+        state.queued.iter().for_each(|name| println!("  queued     {}", one_line(name)));
+        lines("not yet", &state.not_yet);
+        lines("set aside", &state.set_aside);
+    });
     Ok(Exit::Done)
 }

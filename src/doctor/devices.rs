@@ -1,48 +1,43 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Cameras and HSU: there, free, who they are, and whether they answer as a session needs it.
+//! Cameras and HSU: whether each is there, is free, and answers as a session needs it.
 
+use super::finding::{Check, Finding, Grade};
 use super::load::Load;
-use super::{Check, Finding};
 use crate::base::ids::CameraId;
 use crate::base::time::monotonic_ns;
 use crate::camera::{Camera, CameraBackend, CameraError, CameraIdentity, PacketTest, SetUp, Wishes};
 use crate::config::{ActionConfig, CameraConfig, NodeConfig};
-use crate::control::status::NodeStatus;
-use crate::hsu::{HsuTimeouts, TriggerUnit};
+use crate::hsu::{HsuError, HsuTimeouts, TriggerUnit};
 use std::ffi::CString;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
-/// Clock readings per device; the shortest round trip counts.
+/// Number of clock readings of each device, of which the shortest round trip is judged.
 const CLOCK_READINGS: usize = 8;
 
-/// An opened camera.
+/// What was tried on an opened camera.
 #[derive(Debug)]
 pub struct OpenedCamera {
-    /// Who it is.
     pub identity: CameraIdentity,
-    /// What it is set to.
     pub set_up: Result<SetUp, CameraError>,
-    /// The packet size that arrives.
+    /// The largest packet that arrives; `None` where the camera sends no test packets.
     pub packet_bytes: Result<Option<PacketTest>, CameraError>,
-    /// The shortest way to its clock and back, ns, or why it has none that can be read.
+    /// The shortest round trip of a clock reading, ns, or why the camera has no clock that can be read.
     pub clock: Result<Result<u64, String>, CameraError>,
 }
 
-/// What is known of a camera.
+/// Facts about one camera of the node file.
 #[derive(Debug)]
 pub struct CameraFacts {
-    /// Its name in the rig.
     pub id: CameraId,
-    /// As configured.
+    /// Address or Aravis id, as configured.
     pub address: String,
-    /// What opening it came to.
     pub opened: Result<OpenedCamera, CameraError>,
 }
 
 impl CameraFacts {
-    /// Opens the camera, tries it, and lets go of it. Its settings stay as the node file has them.
+    /// Opens the camera, tries it, and releases it. Its settings stay as the node file has them.
     pub fn gather(camera: &CameraConfig, config: &NodeConfig, backend: &mut dyn CameraBackend) -> Self {
         let wishes = Wishes::of(config, camera);
         Self {
@@ -76,10 +71,7 @@ pub fn judge_camera(facts: &CameraFacts, load: &Load) -> Vec<Finding> {
     let check = |what: &str| Check::device(format!("camera {}{what}", facts.id));
     let opened = match &facts.opened {
         Ok(opened) => opened,
-        Err(error) => {
-            let (found, advice) = split(error);
-            return vec![check("").failed(found, format!("a camera at {}", facts.address), advice)];
-        }
+        Err(error) => return vec![failed_by(check(""), error, format!("a camera at {}", facts.address))],
     };
     let CameraIdentity { vendor, model, serial } = &opened.identity;
     let name = format!("{vendor} {model}, serial number {serial}, at {}, under our control", facts.address);
@@ -94,69 +86,67 @@ pub fn judge_camera(facts: &CameraFacts, load: &Load) -> Vec<Finding> {
         Err(CameraError::SetUp { problems }) => {
             check(": settings").failed(problems.join("; "), expected, "correct the node file as named")
         }
-        Err(error) => {
-            let (found, advice) = split(error);
-            check(": settings").failed(found, expected, advice)
-        }
+        Err(error) => failed_by(check(": settings"), error, expected),
     };
-    let mut findings = vec![check("").ok(name), settings];
-    findings.push(judge_packets(check(": packet size"), opened, load));
-    findings.push(judge_clock(check(": clock"), opened, load));
-    findings
+    let packets = judge_packets(check(": packet size"), &opened.packet_bytes, load);
+    vec![check("").ok(name), settings, packets, judge_clock(check(": clock"), &opened.clock, load)]
 }
 
-fn judge_packets(check: Check, opened: &OpenedCamera, load: &Load) -> Finding {
-    let asked = load.packet_bytes;
-    let expected = format!("packets of {asked} bytes to arrive (acquisition.packet_bytes)");
-    match &opened.packet_bytes {
-        Ok(Some(test)) if test.arrived == asked => {
-            check.ok(format!("a test packet of {asked} bytes arrived"))
+/// Test packets come by the way of frames, through the firewall to a UDP socket: where none arrives, the firewall's own
+/// tools list the rules, which no other program can follow as surely.
+fn judge_packets(check: Check, tested: &Result<Option<PacketTest>, CameraError>, load: &Load) -> Finding {
+    let wanted = load.packet_bytes;
+    let expected = format!("packets of {wanted} bytes to arrive (acquisition.packet_bytes)");
+    match tested {
+        Ok(Some(test)) if test.arrived == wanted => {
+            check.ok(format!("a test packet of {wanted} bytes arrived"))
         }
-        // No network between is asked for what the camera does not send.
+        // The camera's own limit, not the network's.
         Ok(Some(PacketTest { arrived, camera_takes: Some(takes) })) if arrived == takes => check.failed(
             format!("the camera sends packets of {takes} bytes at most, and those arrive"),
             expected,
-            format!("say acquisition.packet_bytes = {takes}"),
+            format!("set acquisition.packet_bytes = {takes}"),
         ),
         Ok(Some(PacketTest { arrived, .. })) => check.failed(
             format!("the largest packet that arrives has {arrived} bytes"),
             expected,
             "raise the MTU on this host's interface and on every switch between, or lower the setting",
         ),
-        Ok(None) => check.ok("not to be tested: the camera sends no test packets"),
-        Err(error) => {
-            let (found, advice) = split(error);
-            check.failed(found, expected, advice)
-        }
+        Ok(None) => check.ok("cannot be tested: the camera sends no test packets"),
+        Err(CameraError::NoTestPackets { patience_ms }) => check.failed(
+            format!("no test packet of the camera arrives, of whatever size, within {patience_ms} ms"),
+            expected,
+            "list the firewall's rules with `sudo nft list ruleset` and `sudo iptables -S`, and allow UDP from the \
+             cameras' subnet (GVCP: source port 3956; GVSP: any port); check that the camera has a route to this host",
+        ),
+        Err(error) => failed_by(check, error, expected),
     }
 }
 
-fn judge_clock(check: Check, opened: &OpenedCamera, load: &Load) -> Finding {
-    let half_period_ns = (0.5e9 / load.rate_hz) as u64;
-    let expected = format!("a clock that can be read within {} (half a period)", duration(half_period_ns));
-    let unread = "frames will be matched by block ids and arrival alone: prefer a camera with a clock";
-    match &opened.clock {
-        Ok(Ok(round_trip_ns)) if *round_trip_ns > half_period_ns => check.warning(
+fn judge_clock(check: Check, clock: &Result<Result<u64, String>, CameraError>, load: &Load) -> Finding {
+    let limit_ns = load.half_period_ns();
+    let expected = format!("a clock that can be read within {} (half a period)", duration(limit_ns));
+    match clock {
+        Ok(Ok(round_trip_ns)) => check.graded(
+            if *round_trip_ns <= limit_ns { Grade::Ok } else { Grade::Warning },
             format!("read within {}", duration(*round_trip_ns)),
             expected,
             "look for load on this host or on the network",
         ),
-        Ok(Ok(round_trip_ns)) => check.ok(format!("runs, read within {}", duration(*round_trip_ns))),
-        Ok(Err(why)) => check.warning(format!("cannot be read: {why}"), expected, unread),
-        Err(error) => {
-            let (found, advice) = split(error);
-            check.failed(found, expected, advice)
-        }
+        Ok(Err(why)) => check.warning(
+            format!("cannot be read: {why}"),
+            expected,
+            "frames will be matched by block ids and arrival alone: prefer a camera with a clock",
+        ),
+        Err(error) => failed_by(check, error, expected),
     }
 }
 
-/// An error's own words: what was found, and after the semicolon what to do.
-fn split(error: &dyn std::error::Error) -> (String, String) {
+/// A failure in an error's own words: what was found, and after the semicolon what to do.
+fn failed_by(check: Check, error: &CameraError, expected: impl Into<String>) -> Finding {
     let text = error.to_string();
-    match text.split_once("; ") {
-        Some((found, advice)) => (found.to_owned(), advice.to_owned()),
-        None => (text, "check its power and cable".to_owned()),
-    }
+    let (found, advice) = text.split_once("; ").unwrap_or((&text, "check its power and cable"));
+    check.failed(found, expected, advice)
 }
 
 fn duration(ns: u64) -> String {
@@ -166,7 +156,7 @@ fn duration(ns: u64) -> String {
     }
 }
 
-/// In place of the cameras, where this binary cannot drive any.
+/// The verdict in place of those on cameras, where this binary cannot drive any.
 pub fn cameras_not_examined() -> Finding {
     Check::device("cameras").warning(
         "not examined: this binary was built without the feature `aravis`",
@@ -175,56 +165,35 @@ pub fn cameras_not_examined() -> Finding {
     )
 }
 
-/// What a running node says of the devices that it holds.
-pub fn judge_status(status: &NodeStatus) -> Vec<Finding> {
-    let judge = |name: String, known: Option<String>, problem: &Option<String>| {
-        let check = Check::device(name);
-        match problem {
-            None => check.ok(known.unwrap_or_else(|| "in use".to_owned())),
-            Some(problem) => {
-                let (found, advice) = problem.split_once("; ").unwrap_or((problem, "see the node's log"));
-                check.failed(found, "a device that the node can use", advice)
-            }
-        }
-    };
-    let cameras = status.cameras.iter().map(|camera| {
-        let known = camera.identity.as_ref();
-        let known = known.map(|i| format!("{} {}, serial number {}", i.vendor, i.model, i.serial));
-        judge(format!("camera {}", camera.id), known, &camera.problem)
-    });
-    let hsu = judge("HSU".to_owned(), status.hsu.identity.clone(), &status.hsu.problem);
-    cameras.chain([hsu]).collect()
-}
-
-/// A greeted HSU.
+/// The answers of an HSU to the doctor's greeting.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GreetedHsu {
-    /// Product, unit and firmware.
+    /// Product, serial number and firmware, in one line.
     pub identity: String,
-    /// Protocol version of the conversation.
+    /// The protocol version that both sides agreed on.
     pub protocol: u8,
-    /// What it is doing.
+    /// The state that the unit reports, for instance `idle`.
     pub state: String,
-    /// The shortest way of a clock reading there and back, ns; `None` when no reading was answered.
+    /// The shortest round trip of a clock reading, ns; `None` when no reading was answered.
     pub round_trip_ns: Option<u64>,
-    /// Frames from it that could not be read.
+    /// Messages of the unit whose checksum or form was wrong.
     pub bad_frames: u32,
 }
 
-/// What is known of the HSU.
+/// Facts about the HSU of the node file.
 #[derive(Debug)]
 pub struct HsuFacts {
-    /// As configured.
+    /// The serial device, as configured.
     pub device: PathBuf,
     /// Whether it can be a serial port; the reason if not.
     pub device_file: Result<(), String>,
-    /// What greeting it came to; `None` when it was not tried.
+    /// The unit's answers, or why it gave none; `None` when it was not greeted.
     pub greeted: Option<Result<GreetedHsu, String>>,
 }
 
 impl HsuFacts {
-    /// Looks at the device, greets the unit and reads its clock. Greeting takes back what this node has armed:
-    /// not while a node runs.
+    /// Looks at the device, greets the unit and reads its clock. A greeting disarms what this node has armed: not to be
+    /// done while a node runs.
     pub fn gather(config: &NodeConfig) -> Self {
         let device = config.trigger.device();
         let device_file = look_at_device(&device);
@@ -246,14 +215,12 @@ fn look_at_device(device: &Path) -> Result<(), String> {
     }
 }
 
-fn greet(config: &NodeConfig) -> Result<GreetedHsu, crate::hsu::HsuError> {
+fn greet(config: &NodeConfig) -> Result<GreetedHsu, HsuError> {
     let hsu = TriggerUnit::of(config).connect(&config.node, &HsuTimeouts::default())?;
     let readings = (0..CLOCK_READINGS).filter_map(|_| hsu.query_clock().ok());
     let round_trip_ns = readings.map(|r| monotonic_ns(r.received).saturating_sub(monotonic_ns(r.sent))).min();
-    let [major, minor, patch] = hsu.identity().firmware;
-    let unit = crate::node::devices::unique_id(&hsu);
     Ok(GreetedHsu {
-        identity: format!("{} {unit} firmware {major}.{minor}.{patch}", hsu.identity().name),
+        identity: hsu.identity_text(),
         protocol: hsu.welcome().agreed,
         state: hsu.status()?.state.to_string(),
         round_trip_ns,
@@ -261,18 +228,19 @@ fn greet(config: &NodeConfig) -> Result<GreetedHsu, crate::hsu::HsuError> {
     })
 }
 
-/// What action commands instead of an HSU mean for a bench; that cameras take them is asked when a session is prepared.
+/// The verdict on action commands in place of an HSU. Whether cameras obey them is checked when a session is prepared.
 pub fn judge_actions(action: ActionConfig, cameras: usize) -> Finding {
-    let check = Check::device("triggers");
     let what = format!(
-        "action commands to {cameras} cameras, no HSU: no projector is triggered, so what they show must stand still"
+        "action commands to {cameras} cameras, no HSU: no projector is triggered, so the scene must stand still"
     );
+    let check = Check::device("triggers");
     match action.ptp {
         true => check.ok(format!("{what}; scheduled on the clock that PTP gives the cameras")),
         false => check.warning(
-            format!("{what}; cameras act when the packet reaches them, and exposures of a trigger differ by its way"),
+            format!("{what}; cameras act when the packet reaches them, so exposures of a trigger differ by network \
+                delay"),
             "actions that are scheduled (trigger.ptp = true)",
-            "use cameras with PTP, or an HSU, where what is seen moves",
+            "use cameras with PTP, or an HSU, for a scene that moves",
         ),
     }
 }
@@ -301,11 +269,11 @@ pub fn judge_hsu(facts: &HsuFacts, load: &Load) -> Vec<Finding> {
     let name = format!("{}, protocol {}, {}", greeted.identity, greeted.protocol, greeted.state);
     let mut findings = vec![file, check.ok(name)];
     let check = Check::device("HSU clock");
-    let limit = (0.5e9 / load.rate_hz) as u64;
-    let expected = format!("a reading within {} (half a period)", duration(limit));
+    let limit_ns = load.half_period_ns();
+    let expected = format!("a reading within {} (half a period)", duration(limit_ns));
     findings.push(match greeted.round_trip_ns {
-        Some(ns) if ns <= limit => check.ok(format!("read within {}", duration(ns))),
-        Some(ns) => check.warning(
+        Some(ns) => check.graded(
+            if ns <= limit_ns { Grade::Ok } else { Grade::Warning },
             format!("read within {}", duration(ns)),
             expected,
             "set the USB converter's latency timer to 1 ms (/sys/bus/usb-serial/devices/*/latency_timer)",
@@ -313,11 +281,8 @@ pub fn judge_hsu(facts: &HsuFacts, load: &Load) -> Vec<Finding> {
         None => check.failed("no reading was answered", expected, "check the serial cable"),
     });
     if greeted.bad_frames > 0 {
-        findings.push(Check::device("HSU line").warning(
-            format!("{} broken frames", greeted.bad_frames),
-            "none",
-            "check the cable and its shield",
-        ));
+        let found = format!("{} broken frames", greeted.bad_frames);
+        findings.push(Check::device("HSU line").warning(found, "none", "check the cable and its shield"));
     }
     findings
 }
@@ -327,7 +292,6 @@ mod tests {
     use super::*;
     use crate::camera::{FrameContract, State};
     use crate::config::Pixel;
-    use crate::doctor::Grade;
 
     fn camera() -> CameraFacts {
         CameraFacts {
@@ -387,12 +351,24 @@ mod tests {
                 Ok(Some(PacketTest { arrived, camera_takes }));
             judge_camera(&facts, &Load::reference())[2].advice.clone()
         };
-        assert_eq!(advice(1444, Some(1444)), "say acquisition.packet_bytes = 1444");
+        assert_eq!(advice(1444, Some(1444)), "set acquisition.packet_bytes = 1444");
         assert!(advice(1444, None).contains("MTU") && advice(1444, Some(8000)).contains("MTU"));
     }
 
     #[test]
-    fn who_has_a_camera_is_told() {
+    fn where_no_packet_arrives_the_firewalls_own_tools_are_named() {
+        let mut facts = camera();
+        facts.opened.as_mut().expect("opened").packet_bytes =
+            Err(CameraError::NoTestPackets { patience_ms: 400 });
+        let finding = &judge_camera(&facts, &Load::reference())[2];
+        assert_eq!(finding.grade, Grade::Failed);
+        for part in ["nft list ruleset", "iptables -S", "UDP from the cameras' subnet"] {
+            assert!(finding.advice.contains(part), "{part:?} missing in {finding}");
+        }
+    }
+
+    #[test]
+    fn who_has_a_camera_is_named() {
         let holder = Some("192.168.10.9:50123".to_owned());
         let error = CameraError::Owned { address: "192.168.10.2".to_owned(), holder };
         let findings = judge_camera(&CameraFacts { opened: Err(error), ..camera() }, &Load::reference());

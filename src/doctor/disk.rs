@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The disk of the recordings: can it take what the cameras give, and for how long?
 
+use super::finding::{Check, Finding, Grade, bytes};
 use super::load::Load;
-use super::{Check, Finding, bytes};
+use crate::base::Scratch;
 use crate::base::ids::{BlockId, SessionName, TriggerIndex};
 use crate::base::time::host_time_ns;
 use crate::config::NodeConfig;
@@ -19,22 +20,23 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// The disk must be this much faster than the cameras: it is never as fast as in a test all the time.
-pub const SPEED_FACTOR: f64 = 1.3;
-/// Frames in memory during the test.
+/// How many times faster than the cameras the disk must be: no disk is always as fast as in a short test.
+const SPEED_FACTOR: f64 = 1.3;
+/// Number of noise frames in memory during the test, of all cameras together.
 const POOL_FRAMES: usize = 32;
-/// Names of what is written, each with the process's id behind it.
+/// Name of the file on which flags are tried; the process's id follows.
 const PROBE: &str = ".fourdbody-doctor-probe-";
+/// Name of the directory of the test recording; the process's id follows.
 const SCRATCH: &str = ".fourdbody-doctor-recording-";
-/// A disk that takes nothing for so long is broken.
+/// A disk that writes no frame within this time is broken.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// A session's usual length; a disk that holds less is worth a warning.
+/// Minutes of a long session; a disk with room for less gets a warning.
 const USUAL_MINUTES: f64 = 10.0;
 
-/// What the test recording came to.
+/// The measurements of the test recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Speed {
-    /// Pixels written.
+    /// Bytes of pixels that were written.
     pub bytes: u64,
     /// From the first frame until everything was on the medium.
     pub elapsed: Duration,
@@ -42,30 +44,30 @@ pub struct Speed {
     pub longest_wait: Duration,
 }
 
-/// What is known of the disk.
+/// Facts about the disk of the recordings.
 #[derive(Debug)]
 pub struct DiskFacts {
-    /// As configured.
+    /// The directory of the recordings, as configured.
     pub sessions_dir: PathBuf,
     /// The directory itself, or the nearest one above it that exists.
     pub examined: PathBuf,
-    /// Whether `O_DIRECT` is taken; the system's words if not, or if no file can be made at all.
+    /// Whether the file system supports `O_DIRECT`; the system's error message if not, or if no file can be made.
     pub direct: Result<(), String>,
-    /// Whether space can be reserved (`fallocate`).
+    /// Whether space can be reserved (`fallocate`); the system's error message if not.
     pub fallocate: Result<(), String>,
-    /// Whether the disk is told about every removed file at once (mount option `discard`).
+    /// Whether the file system discards the blocks of every removed file at once (mount option `discard`).
     pub discards: bool,
-    /// Free bytes there.
+    /// Free bytes in `examined`, or the system's error message.
     pub free: Result<u64, String>,
-    /// What the node keeps free.
+    /// Bytes that the node keeps free.
     pub reserve: u64,
-    /// The test recording; `None` when it was not asked for.
+    /// The test recording, or why it failed; `None` when there was none.
     pub speed: Option<Result<Speed, String>>,
 }
 
 impl DiskFacts {
-    /// Looks, and records noise for `test` (zero: not at all). Everything written is deleted.
-    /// `progress` hears how much of the test is over, and how long it is.
+    /// Reads all facts, and records noise for `test` (zero: not at all). Everything written is deleted.
+    /// `progress` receives the elapsed and the whole duration of the test.
     pub fn gather(config: &NodeConfig, test: Duration, progress: &dyn Fn(Duration, Duration)) -> Self {
         let sessions_dir = std::path::absolute(&config.sessions_dir).unwrap_or(config.sessions_dir.clone());
         let examined = sessions_dir.ancestors().find(|dir| dir.is_dir()).unwrap_or(Path::new("/")).to_owned();
@@ -132,15 +134,6 @@ fn remove_leftovers(dir: &Path) {
     }
 }
 
-/// Removes the test recording, whatever happened to it.
-struct Scratch(PathBuf);
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
-}
-
 /// A recording of noise by the product's own writer, as fast as it goes.
 fn record_noise(
     config: &NodeConfig,
@@ -169,7 +162,7 @@ fn record_noise(
     let mut trigger = 0;
     while begun.elapsed() < test && speed.bytes < limit {
         for (camera, (&(width, height), pool)) in sizes.iter().zip(&pools).enumerate() {
-            let asked = Instant::now();
+            let begun_waiting = Instant::now();
             let block = pool.lend().ok_or("the disk took nothing for a minute")?;
             let meta = FrameMeta {
                 trigger: TriggerIndex(trigger),
@@ -181,7 +174,7 @@ fn record_noise(
                 pixels_crc: pool.checksum,
             };
             recording.frame_in_place(camera, &meta, block).map_err(|e| e.to_string())?;
-            speed.longest_wait = speed.longest_wait.max(asked.elapsed());
+            speed.longest_wait = speed.longest_wait.max(begun_waiting.elapsed());
             speed.bytes += u64::from(width) * u64::from(height);
         }
         trigger += 1;
@@ -198,7 +191,7 @@ fn record_noise(
     Ok(speed)
 }
 
-/// One camera's noise, in blocks that come back when the writer has done with them.
+/// One camera's noise frames, in blocks that return when the writer has written them.
 struct Pool {
     checksum: u32,
     home: Sender<Block>,
@@ -263,28 +256,32 @@ fn noise_header(config: &NodeConfig) -> RecordingHeader {
 /// The verdicts on the disk.
 pub fn judge(facts: &DiskFacts, load: &Load) -> Vec<Finding> {
     let mut findings = vec![judge_directory(facts)];
-    if findings[0].grade == super::Grade::Failed {
+    if findings[0].grade == Grade::Failed {
         return findings;
     }
-    let file_system = "use ext4 or XFS on a local disk";
-    let check = Check::host("direct writes");
-    findings.push(match &facts.direct {
-        Ok(()) => check.ok("O_DIRECT is taken"),
-        Err(error) => check.warning(
-            format!("the file system refuses O_DIRECT ({error})"),
+    for (name, what, result, expected) in [
+        (
+            "direct writes",
+            "O_DIRECT",
+            &facts.direct,
             "direct writes: through the page cache they stall for seconds",
-            file_system,
         ),
-    });
-    let check = Check::host("reserved space");
-    findings.push(match &facts.fallocate {
-        Ok(()) => check.ok("fallocate is taken"),
-        Err(error) => check.warning(
-            format!("the file system refuses fallocate ({error})"),
-            "segments that are reserved before they are written",
-            file_system,
+        (
+            "reserved space",
+            "fallocate",
+            &facts.fallocate,
+            "segments whose space is reserved before they are written",
         ),
-    });
+    ] {
+        findings.push(match result {
+            Ok(()) => Check::host(name).ok(format!("the file system supports {what}")),
+            Err(error) => Check::host(name).warning(
+                format!("the file system refuses {what} ({error})"),
+                expected,
+                "use ext4 or XFS on a local disk",
+            ),
+        });
+    }
     let check = Check::host("discard");
     findings.push(match facts.discards {
         false => check.ok("removed files are not discarded at once"),
@@ -327,31 +324,24 @@ fn judge_space(facts: &DiskFacts, load: &Load) -> Finding {
     let usable = free.saturating_sub(facts.reserve);
     let minutes = usable as f64 / load.bytes_per_s().max(1.0) / 60.0;
     let found = format!("{} beyond the reserve of {}: {minutes:.1} min", bytes(usable), bytes(facts.reserve));
-    let advice = "delete or move sessions";
-    match usable {
-        0 => check.failed(found, format!("more free space than {}", bytes(facts.reserve)), advice),
-        _ if minutes < USUAL_MINUTES => check.warning(found, format!("{USUAL_MINUTES:.0} min"), advice),
-        _ => check.ok(found),
-    }
+    let (grade, expected) = match usable {
+        0 => (Grade::Failed, format!("more free space than {}", bytes(facts.reserve))),
+        _ if minutes < USUAL_MINUTES => (Grade::Warning, format!("{USUAL_MINUTES:.0} min")),
+        _ => (Grade::Ok, String::new()),
+    };
+    check.graded(grade, found, expected, "delete or move sessions")
 }
 
 fn judge_speed(facts: &DiskFacts, load: &Load) -> Vec<Finding> {
     let check = Check::host("disk speed");
     let megabytes = |per_s: f64| format!("{:.0} MB/s", per_s / 1e6);
     let needed = load.bytes_per_s() * SPEED_FACTOR;
-    let expected = format!(
-        "{}: {SPEED_FACTOR} x the {} of the cameras",
-        megabytes(needed),
-        megabytes(load.bytes_per_s())
-    );
-    let advice = "free the disk of other work, or use a faster one (NVMe)";
+    let of_cameras = megabytes(load.bytes_per_s());
+    let expected = format!("{}: {SPEED_FACTOR} x the {of_cameras} of the cameras", megabytes(needed));
     let speed = match &facts.speed {
         None => {
-            return vec![check.warning(
-                "not measured",
-                expected,
-                "run with --disk-seconds 3 while no node runs here",
-            )];
+            let advice = "run with --disk-seconds 3 while no node runs here";
+            return vec![check.warning("not measured", expected, advice)];
         }
         Some(Err(error)) => {
             let found = format!("the test recording failed: {error}");
@@ -360,32 +350,29 @@ fn judge_speed(facts: &DiskFacts, load: &Load) -> Vec<Finding> {
         Some(Ok(speed)) => speed,
     };
     let rate = speed.bytes as f64 / speed.elapsed.as_secs_f64().max(1e-9);
+    let grade = match rate {
+        rate if rate >= needed => Grade::Ok,
+        rate if rate >= load.bytes_per_s() => Grade::Warning,
+        _ => Grade::Failed,
+    };
     let found = format!("{} over {:.1} s", megabytes(rate), speed.elapsed.as_secs_f64());
-    let first = match rate {
-        rate if rate >= needed => check.ok(format!("{found}, {} needed", megabytes(needed))),
-        rate if rate >= load.bytes_per_s() => check.warning(found, expected, advice),
-        _ => check.failed(found, expected, advice),
-    };
-    let check = Check::host("disk pauses");
-    let wait = speed.longest_wait.as_secs_f64();
-    let found = format!("{:.0} ms at the longest", wait * 1e3);
-    let held = load.buffered_s();
-    // The test writes as fast as it can; a pause that eats half the frame buffers is too near.
-    let second = match wait {
-        wait if wait <= held / 2.0 => check.ok(found),
-        _ => check.warning(
-            found,
-            format!("at most half of the {:.0} ms that the frame buffers hold", held * 1e3),
-            "raise acquisition.buffers_per_camera, or use a faster disk",
-        ),
-    };
+    let advice = "free the disk of other work, or use a faster one (NVMe)";
+    let first = check.graded(grade, found, expected, advice);
+    let (wait, held) = (speed.longest_wait.as_secs_f64(), load.buffered_s());
+    // The test writes as fast as it can; a pause that fills half the frame buffers leaves too little room.
+    let second = Check::host("disk pauses").graded(
+        if wait <= held / 2.0 { Grade::Ok } else { Grade::Warning },
+        format!("{:.0} ms at the longest", wait * 1e3),
+        format!("at most half of the {:.0} ms that the frame buffers hold", held * 1e3),
+        "raise acquisition.buffers_per_camera, or use a faster disk",
+    );
     vec![first, second]
 }
 
 #[cfg(test)]
 mod tests {
     use super::{DiskFacts, SCRATCH, Speed, has_mount_option, judge, remove_leftovers};
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
     use crate::doctor::load::Load;
     use std::path::Path;
     use std::time::Duration;
@@ -428,7 +415,8 @@ mod tests {
 
     #[test]
     fn the_nearest_mount_counts() {
-        let mounts = "/dev/a / ext4 rw,discard 0 0\n/dev/b /data ext4 rw,nodiscard 0 0\n/dev/c /data/old\\040ones xfs discard,rw 0 0\n";
+        let mounts = "/dev/a / ext4 rw,discard 0 0\n/dev/b /data ext4 rw,nodiscard 0 0\n/dev/c /data/old\\040ones \
+            xfs discard,rw 0 0\n";
         let discards = |dir: &str| has_mount_option(mounts, Path::new(dir), "discard");
         assert_eq!(["/", "/database", "/data/sessions"].map(discards), [true, true, false]);
         assert!(discards("/data/old ones/sessions"));
@@ -455,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn pauses_space_and_refusals_are_told() {
+    fn pauses_space_and_refusals_are_reported() {
         let pause = Speed {
             bytes: 6_000_000_000,
             elapsed: Duration::from_secs(3),

@@ -1,61 +1,47 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The computer itself: sockets, limits, processors, clock, memory, the API's port.
+//! The computer itself: sockets, limits, processors, clock and memory.
 
+use super::finding::{Check, Finding, Grade, bytes};
 use super::load::Load;
-use super::{Check, Finding, bytes};
-use crate::config::{ApiConfig, SocketMode};
-use crate::control::client::NodeClient;
-use crate::control::status::NodeStatus;
+use crate::config::SocketMode;
 use crate::host::memory;
+use crate::host::realtime::{limit_text, soft_limit};
 use std::io;
-use std::net::{SocketAddr, TcpListener};
 
-/// Bits of the effective capabilities (`capability.h`).
+/// Bit of the effective capabilities (`capability.h`) that permits locking memory without a limit.
 const CAP_IPC_LOCK: u32 = 14;
+/// Bit of the effective capabilities (`capability.h`) that permits real-time priorities without a limit.
 const CAP_SYS_NICE: u32 = 23;
 
-/// What the camera layer asks the kernel for, per camera.
+/// Receive buffer that the camera layer requests from the kernel for each camera, bytes.
 const SOCKET_BUFFER: u64 = 8 << 20;
 
-/// Above this an ordinary UDP socket loses packets inside the system; measured: 276 MB/s of one camera gave
-/// up to a bad frame in four seconds even with a large buffer, and hundreds without.
+/// Above this load, bytes a second, an ordinary UDP socket loses packets inside the system; measured: 276 MB/s of one
+/// camera gave up to one incomplete frame in four seconds with a large buffer, and hundreds without.
 const UDP_BYTES_PER_S: f64 = 100e6;
 
-/// From this load on, receiving and writing want four processors.
+/// From this load on, bytes a second, receiving and writing need four processors.
 const HEAVY_BYTES_PER_S: f64 = 500e6;
 
-/// Clock sources that are read without a system call and do not wander.
+/// Clock sources of the kernel that are read without a system call and run evenly.
 const GOOD_CLOCKS: [&str; 4] = ["tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page"];
 
-/// Who has the API's port.
-#[derive(Debug)]
-pub enum PortUse {
-    /// Nobody.
-    Free,
-    /// A running node.
-    Node(Box<NodeStatus>),
-    /// Somebody who wants a token, or TLS: a running node, probably.
-    Closed,
-    /// Something else, or it cannot be had at all: the system's words.
-    Taken(String),
-}
-
-/// What is known of the host. `None`: could not be read.
+/// Facts about the host; `None` where one could not be read.
 #[derive(Debug)]
 pub struct HostFacts {
-    /// Whether a packet socket can be opened; the system's words if not.
+    /// Whether a packet socket can be opened; the system's error message if not.
     pub packet_socket: Result<(), String>,
-    /// `net.core.rmem_max`, bytes.
+    /// `net.core.rmem_max`, the largest receive buffer of a socket, bytes.
     pub rmem_max: Option<u64>,
-    /// `net.core.rmem_default`, bytes.
+    /// `net.core.rmem_default`, the receive buffer of a socket that requests none, bytes.
     pub rmem_default: Option<u64>,
-    /// `net.core.netdev_max_backlog`, packets.
+    /// `net.core.netdev_max_backlog`, packets that wait for the network stack.
     pub backlog: Option<u64>,
-    /// RLIMIT_RTPRIO of this process.
-    pub rtprio_limit: u64,
-    /// RLIMIT_MEMLOCK of this process, bytes.
-    pub memlock_limit: u64,
-    /// Effective capabilities.
+    /// RLIMIT_RTPRIO of this process; `None` is unlimited.
+    pub rtprio_limit: Option<u64>,
+    /// RLIMIT_MEMLOCK of this process, bytes; `None` is unlimited.
+    pub memlock_limit: Option<u64>,
+    /// Effective capabilities of this process, a bit each.
     pub capabilities: u64,
     /// Processors that this process may use.
     pub cores: usize,
@@ -63,33 +49,28 @@ pub struct HostFacts {
     pub memory_available: Option<u64>,
     /// Frequency governors in use, each once; empty where there are none.
     pub governors: Vec<String>,
-    /// The kernel's clock source.
+    /// The clock source that the kernel uses.
     pub clock_source: Option<String>,
-    /// The API's port and its user; `None` without a configuration.
-    pub api_port: Option<PortUse>,
-    /// The API's address.
-    pub listen: Option<SocketAddr>,
 }
 
 impl HostFacts {
-    /// Looks.
-    pub fn gather(api: Option<&ApiConfig>) -> Self {
+    /// Reads all facts of this host and of this process.
+    pub fn gather() -> Self {
+        let status = read_text("/proc/self/status").unwrap_or_default();
+        let capabilities = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
+        let sysctl = |key: &str| read_text(&format!("/proc/sys/net/core/{key}"))?.parse().ok();
         Self {
             packet_socket: open_packet_socket().map_err(|e| e.to_string()),
-            rmem_max: read_number("/proc/sys/net/core/rmem_max"),
-            rmem_default: read_number("/proc/sys/net/core/rmem_default"),
-            backlog: read_number("/proc/sys/net/core/netdev_max_backlog"),
+            rmem_max: sysctl("rmem_max"),
+            rmem_default: sysctl("rmem_default"),
+            backlog: sysctl("netdev_max_backlog"),
             rtprio_limit: soft_limit(libc::RLIMIT_RTPRIO),
             memlock_limit: soft_limit(libc::RLIMIT_MEMLOCK),
-            capabilities: read_line("/proc/self/status", "CapEff:")
-                .and_then(|text| u64::from_str_radix(&text, 16).ok())
-                .unwrap_or(0),
+            capabilities: capabilities.and_then(|hex| u64::from_str_radix(hex.trim(), 16).ok()).unwrap_or(0),
             cores: std::thread::available_parallelism().map_or(1, usize::from),
             memory_available: memory::available(),
             governors: governors(),
             clock_source: read_text("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
-            api_port: api.map(look_at_api),
-            listen: api.and_then(|api| api.listen),
         }
     }
 
@@ -100,16 +81,6 @@ impl HostFacts {
 
 fn read_text(path: &str) -> Option<String> {
     std::fs::read_to_string(path).ok().map(|text| text.trim().to_owned())
-}
-
-fn read_number(path: &str) -> Option<u64> {
-    read_text(path)?.parse().ok()
-}
-
-/// What follows `key` at the start of a line.
-fn read_line(path: &str, key: &str) -> Option<String> {
-    let text = read_text(path)?;
-    text.lines().find_map(|line| line.strip_prefix(key)).map(|rest| rest.trim().to_owned())
 }
 
 fn open_packet_socket() -> io::Result<()> {
@@ -124,47 +95,22 @@ fn open_packet_socket() -> io::Result<()> {
     Ok(())
 }
 
-fn soft_limit(resource: libc::__rlimit_resource_t) -> u64 {
-    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
-    // SAFETY: `limit` is valid for writing.
-    if unsafe { libc::getrlimit(resource, &mut limit) } == 0 { limit.rlim_cur } else { 0 }
-}
-
 fn governors() -> Vec<String> {
     let Ok(entries) = std::fs::read_dir("/sys/devices/system/cpu") else { return Vec::new() };
-    let path = |entry: std::fs::DirEntry| entry.path().join("cpufreq/scaling_governor");
-    let texts = entries.flatten().filter_map(|entry| std::fs::read_to_string(path(entry)).ok());
-    let mut found: Vec<String> = texts.map(|text| text.trim().to_owned()).collect();
+    let governor =
+        |entry: std::fs::DirEntry| read_text(entry.path().join("cpufreq/scaling_governor").to_str()?);
+    let mut found: Vec<String> = entries.flatten().filter_map(governor).collect();
     found.sort();
     found.dedup();
     found
 }
 
-/// A node answers on its socket without a token, on its port perhaps not.
-fn look_at_api(api: &ApiConfig) -> PortUse {
-    if let Some(socket) = &api.socket
-        && let Ok(status) = NodeClient::new(&format!("unix:{}", socket.path.display())).status()
-    {
-        return PortUse::Node(Box::new(status));
-    }
-    let Some(listen) = api.listen else { return PortUse::Free };
-    match TcpListener::bind(listen) {
-        Ok(_) => PortUse::Free,
-        Err(error) => match NodeClient::new(&listen.to_string()).status() {
-            Ok(status) => PortUse::Node(Box::new(status)),
-            Err(_) if api.tokens.is_some() || api.tls.is_some() => PortUse::Closed,
-            Err(_) => PortUse::Taken(error.to_string()),
-        },
-    }
-}
-
-/// The verdicts on the host.
+/// The verdicts on the host, for the load of its node.
 pub fn judge(facts: &HostFacts, load: &Load) -> Vec<Finding> {
     let mut findings = vec![judge_packet_socket(facts, load)];
     findings.extend(judge_buffers(facts, load));
     findings.extend(judge_limits(facts, load));
     findings.extend(judge_processors(facts, load));
-    findings.extend(judge_port(facts));
     findings
 }
 
@@ -183,11 +129,11 @@ fn judge_packet_socket(facts: &HostFacts, load: &Load) -> Finding {
         (_, SocketMode::Standard) => check.ok("not used (acquisition.socket = \"standard\")"),
         (Err(error), SocketMode::Auto) if heavy => check.failed(
             format!("cannot be opened ({error}), for {megabytes:.0} MB/s"),
-            "the right to, because an ordinary UDP socket loses packets at this rate",
+            "the right to open one, because an ordinary UDP socket loses packets at this rate",
             grant,
         ),
         (Err(error), SocketMode::Auto) => {
-            check.warning(format!("cannot be opened ({error})"), "the right to", grant)
+            check.warning(format!("cannot be opened ({error})"), "the right to open one", grant)
         }
     }
 }
@@ -195,146 +141,122 @@ fn judge_packet_socket(facts: &HostFacts, load: &Load) -> Finding {
 fn judge_buffers(facts: &HostFacts, load: &Load) -> [Finding; 3] {
     let udp = load.socket == SocketMode::Standard || facts.packet_socket.is_err();
     let frame = load.largest_frame();
-    let unreadable = |check: Check| check.warning("cannot be read", "/proc/sys/net/core", "mount /proc");
-    let raise = |key: &str, to: u64| {
-        format!("`sysctl -w net.core.{key}={to}`, and the same in /etc/sysctl.d/90-fourdbody.conf")
-    };
-    let check = Check::host("net.core.rmem_max");
-    let max = match facts.rmem_max {
-        None => unreadable(check),
-        Some(found) if found >= SOCKET_BUFFER => check.ok(bytes(found)),
-        Some(found) => {
-            let expected = format!("{} per camera; a frame has {}", bytes(SOCKET_BUFFER), bytes(frame));
-            let advice = raise("rmem_max", SOCKET_BUFFER);
-            match udp && found < frame {
-                true => check.failed(bytes(found), expected, advice),
-                false => check.warning(bytes(found), expected, advice),
+    let packets = load.packets_per_trigger();
+    let judge =
+        |key: &str, found: Option<u64>, needed, text: fn(u64) -> String, expected, raised: u64, fatal| {
+            let check = Check::host(format!("net.core.{key}"));
+            let Some(found) = found else {
+                return check.warning("cannot be read", "/proc/sys/net/core", "mount /proc");
+            };
+            if found >= needed {
+                return check.ok(text(found));
             }
-        }
-    };
-    let check = Check::host("net.core.rmem_default");
-    let default = match facts.rmem_default {
-        None => unreadable(check),
-        Some(found) if found >= frame => check.ok(bytes(found)),
-        Some(found) if !udp => check.ok(format!("{} (the packet socket does not use it)", bytes(found))),
-        Some(found) => check.warning(
-            bytes(found),
+            let advice = format!(
+                "`sysctl -w net.core.{key}={raised}`, and the same in /etc/sysctl.d/90-fourdbody.conf"
+            );
+            let grade = if fatal && found < frame { Grade::Failed } else { Grade::Warning };
+            check.graded(grade, text(found), expected, advice)
+        };
+    let in_packets = |count: u64| format!("{count} packets");
+    [
+        judge(
+            "rmem_max",
+            facts.rmem_max,
+            SOCKET_BUFFER,
+            bytes,
+            format!("{} per camera; a frame has {}", bytes(SOCKET_BUFFER), bytes(frame)),
+            SOCKET_BUFFER,
+            udp,
+        ),
+        judge(
+            "rmem_default",
+            facts.rmem_default,
+            // The packet socket does not use it.
+            if udp { frame } else { 0 },
+            bytes,
             format!("a frame, {}: the first frame of a stream has to fit in it", bytes(frame)),
-            raise("rmem_default", frame.next_power_of_two()),
+            frame.next_power_of_two(),
+            false,
         ),
-    };
-    let check = Check::host("net.core.netdev_max_backlog");
-    let needed = load.packets_per_trigger();
-    let backlog = match facts.backlog {
-        None => unreadable(check),
-        Some(found) if found >= needed => check.ok(format!("{found} packets")),
-        Some(found) => check.warning(
-            format!("{found} packets"),
-            format!("{needed}: the frames of all cameras arrive together"),
-            raise("netdev_max_backlog", (needed * 2).next_power_of_two()),
+        judge(
+            "netdev_max_backlog",
+            facts.backlog,
+            packets,
+            in_packets,
+            format!("{packets}: the frames of all cameras arrive together"),
+            (packets * 2).next_power_of_two(),
+            false,
         ),
-    };
-    [max, default, backlog]
+    ]
 }
 
-fn judge_limits(facts: &HostFacts, load: &Load) -> Vec<Finding> {
-    let mut findings = Vec::new();
+fn judge_limits(facts: &HostFacts, load: &Load) -> [Finding; 3] {
     let unit = "the systemd unit sets it; by hand in /etc/security/limits.d";
     let check = Check::host("real-time priority");
-    findings.push(match facts.rtprio_limit {
+    let priority = match facts.rtprio_limit {
         _ if facts.may(CAP_SYS_NICE) => check.ok("allowed (CAP_SYS_NICE)"),
-        0 => check.warning("not allowed (RLIMIT_RTPRIO 0)", "RLIMIT_RTPRIO of 1 to 99", unit),
-        limit => check.ok(format!("allowed (RLIMIT_RTPRIO {limit})")),
-    });
+        Some(0) => check.warning("not allowed (RLIMIT_RTPRIO 0)", "RLIMIT_RTPRIO of 1 to 99", unit),
+        limit => check.ok(format!("allowed (RLIMIT_RTPRIO {})", limit_text(limit))),
+    };
     let check = Check::host("memory lock");
     let pool = load.pool_bytes();
-    findings.push(match facts.memlock_limit {
+    let lock = match facts.memlock_limit {
         _ if facts.may(CAP_IPC_LOCK) => check.ok("allowed (CAP_IPC_LOCK)"),
-        libc::RLIM_INFINITY => check.ok("unlimited (RLIMIT_MEMLOCK)"),
-        limit if limit >= pool => check.ok(format!("{} (RLIMIT_MEMLOCK)", bytes(limit))),
-        limit => check.warning(
-            format!("{} (RLIMIT_MEMLOCK)", bytes(limit)),
-            format!("{}, the size of the frame pools", bytes(pool)),
-            unit,
-        ),
-    });
+        None => check.ok("unlimited (RLIMIT_MEMLOCK)"),
+        Some(limit) => {
+            let grade = if limit >= pool { Grade::Ok } else { Grade::Warning };
+            let found = format!("{} (RLIMIT_MEMLOCK)", bytes(limit));
+            check.graded(grade, found, format!("{}, the size of the frame pools", bytes(pool)), unit)
+        }
+    };
     let check = Check::host("memory");
-    findings.push(match facts.memory_available {
-        None => check.warning("cannot be read", "/proc/meminfo", "mount /proc"),
-        Some(free) if free >= 2 * pool => check.ok(format!("{} available", bytes(free))),
-        Some(free) => {
-            let expected = format!("{} for the frame pools, and as much again for the rest", bytes(pool));
-            let advice = "end other programs, or lower acquisition.buffers_per_camera";
-            match free < pool {
-                true => check.failed(format!("{} available", bytes(free)), expected, advice),
-                false => check.warning(format!("{} available", bytes(free)), expected, advice),
-            }
-        }
-    });
-    findings
+    let Some(free) = facts.memory_available else {
+        return [priority, lock, check.warning("cannot be read", "/proc/meminfo", "mount /proc")];
+    };
+    let grade = match free {
+        free if free < pool => Grade::Failed,
+        free if free < 2 * pool => Grade::Warning,
+        _ => Grade::Ok,
+    };
+    let expected = format!("{} for the frame pools, and as much again for the rest", bytes(pool));
+    let advice = "end other programs, or lower acquisition.buffers_per_camera";
+    [priority, lock, check.graded(grade, format!("{} available", bytes(free)), expected, advice)]
 }
 
-fn judge_processors(facts: &HostFacts, load: &Load) -> Vec<Finding> {
-    let mut findings = Vec::new();
+fn judge_processors(facts: &HostFacts, load: &Load) -> [Finding; 3] {
+    let graded = |good| if good { Grade::Ok } else { Grade::Warning };
     let wanted = if load.bytes_per_s() > HEAVY_BYTES_PER_S { 4 } else { 2 };
-    let check = Check::host("processors");
-    findings.push(match facts.cores {
-        cores if cores >= wanted => check.ok(cores.to_string()),
-        cores => check.warning(
-            cores.to_string(),
-            format!("{wanted} for {:.0} MB/s", load.bytes_per_s() / 1e6),
-            "give this computer to the acquisition alone",
-        ),
-    });
+    let processors = Check::host("processors").graded(
+        graded(facts.cores >= wanted),
+        facts.cores.to_string(),
+        format!("{wanted} for {:.0} MB/s", load.bytes_per_s() / 1e6),
+        "give this computer to the acquisition alone",
+    );
     let check = Check::host("frequency governor");
-    let slow = facts.governors.iter().any(|name| name != "performance");
-    findings.push(match facts.governors.as_slice() {
+    let governor = match facts.governors.as_slice() {
         [] => check.ok("none (the firmware or the hypervisor decides)"),
-        names if slow => {
-            check.warning(names.join(", "), "performance", "`cpupower frequency-set -g performance`")
-        }
-        names => check.ok(names.join(", ")),
-    });
-    let check = Check::host("clock source");
-    findings.push(match facts.clock_source.as_deref() {
-        Some(name) if GOOD_CLOCKS.contains(&name) => check.ok(name),
-        found => check.warning(
-            found.unwrap_or("cannot be read"),
-            "tsc",
-            "look for `clocksource` in `dmesg`: the kernel says why it gave up on tsc",
+        names => check.graded(
+            graded(names.iter().all(|name| name == "performance")),
+            names.join(", "),
+            "performance",
+            "`cpupower frequency-set -g performance`",
         ),
-    });
-    findings
-}
-
-fn judge_port(facts: &HostFacts) -> Option<Finding> {
-    let name = facts.listen.map_or_else(|| "API port".to_owned(), |listen| format!("API port {listen}"));
-    let check = Check::host(name);
-    Some(match facts.api_port.as_ref()? {
-        PortUse::Free => check.ok("free"),
-        PortUse::Node(status) => check.warning(
-            format!("node {} runs here ({:?}) and has the devices", status.node, status.phase),
-            "a free port",
-            "what follows is what it says of them; to examine them, stop it first",
-        ),
-        PortUse::Closed => check.warning(
-            "somebody has it who wants a token: probably the node, with the devices".to_owned(),
-            "a free port",
-            "run this as a user of the node's socket (api.socket), or stop the node first",
-        ),
-        PortUse::Taken(error) => check.failed(
-            format!("not to be had ({error})"),
-            "a free port",
-            "`ss -ltnp` shows who has it; end that program or change api.listen",
-        ),
-    })
+    };
+    let clock = facts.clock_source.as_deref().unwrap_or("cannot be read");
+    let clock = Check::host("clock source").graded(
+        graded(GOOD_CLOCKS.contains(&clock)),
+        clock,
+        "tsc",
+        "`dmesg | grep clocksource` shows why the kernel does not use tsc",
+    );
+    [processors, governor, clock]
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{HostFacts, PortUse, judge};
+    use super::{HostFacts, judge};
     use crate::config::SocketMode;
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
     use crate::doctor::load::Load;
 
     fn good() -> HostFacts {
@@ -343,15 +265,13 @@ mod tests {
             rmem_max: Some(32 << 20),
             rmem_default: Some(4 << 20),
             backlog: Some(4096),
-            rtprio_limit: 70,
-            memlock_limit: libc::RLIM_INFINITY,
+            rtprio_limit: Some(70),
+            memlock_limit: None,
             capabilities: 0,
             cores: 8,
             memory_available: Some(16 << 30),
             governors: vec!["performance".to_owned()],
             clock_source: Some("tsc".to_owned()),
-            api_port: Some(PortUse::Free),
-            listen: Some(([127, 0, 0, 1], 7401).into()),
         }
     }
 
@@ -397,7 +317,7 @@ mod tests {
 
     #[test]
     fn limits_are_waived_by_capabilities() {
-        let facts = HostFacts { rtprio_limit: 0, memlock_limit: 8 << 20, ..good() };
+        let facts = HostFacts { rtprio_limit: Some(0), memlock_limit: Some(8 << 20), ..good() };
         let names: Vec<_> =
             complaints(&facts, &Load::reference()).into_iter().map(|(name, _)| name).collect();
         assert_eq!(names, ["real-time priority", "memory lock"]);
@@ -412,7 +332,6 @@ mod tests {
             memory_available: Some(100 << 20),
             governors: vec!["performance".to_owned(), "powersave".to_owned()],
             clock_source: Some("hpet".to_owned()),
-            api_port: Some(PortUse::Taken("Address already in use".to_owned())),
             ..good()
         };
         let expected = [
@@ -420,14 +339,13 @@ mod tests {
             ("processors".to_owned(), Grade::Warning),
             ("frequency governor".to_owned(), Grade::Warning),
             ("clock source".to_owned(), Grade::Warning),
-            ("API port 127.0.0.1:7401".to_owned(), Grade::Failed),
         ];
         assert_eq!(complaints(&facts, &Load::reference()), expected);
     }
 
     #[test]
     fn this_host_can_be_looked_at() {
-        let facts = HostFacts::gather(None);
+        let facts = HostFacts::gather();
         assert!(facts.cores > 0 && facts.rmem_max.is_some() && facts.memory_available.is_some());
     }
 }

@@ -1,22 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a node asks of its host.
+//! The load of a node on its host: bytes, packets and memory.
 
 use crate::config::{NodeConfig, SocketMode};
 use crate::host::frame_memory::ROOM_BYTES;
 use crate::network::wire;
 
-/// The load of one node.
+/// The load of one node, by which its host is judged.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Load {
-    /// Bytes of one frame of each camera.
+    /// Bytes of one recorded frame of each camera.
     pub frames: Vec<u64>,
-    /// Triggers per second.
     pub rate_hz: f64,
-    /// GVSP packet size (IP packet), bytes.
+    /// Bytes of a GVSP packet, IP header included.
     pub packet_bytes: u32,
-    /// Frame buffers per camera.
     pub buffers_per_camera: usize,
-    /// How packets are received.
     pub socket: SocketMode,
 }
 
@@ -33,7 +30,7 @@ impl Load {
         }
     }
 
-    /// The load of a configured node.
+    /// The load of a node, by its rig and its node file.
     pub fn of(config: &NodeConfig) -> Self {
         let cameras = config.rig.cameras_of(&config.node);
         Self {
@@ -50,7 +47,7 @@ impl Load {
         self.frames.iter().sum::<u64>() as f64 * self.rate_hz
     }
 
-    /// The largest frame, bytes.
+    /// Bytes of the largest frame of all cameras.
     pub fn largest_frame(&self) -> u64 {
         self.frames.iter().copied().max().unwrap_or(0)
     }
@@ -70,10 +67,15 @@ impl Load {
         wire::bytes(frame_bytes, self.packet_bytes) as f64 * 8.0 * self.rate_hz
     }
 
-    /// Memory of the frame pools, bytes.
+    /// Bytes of memory that the frame pools of all cameras take.
     pub fn pool_bytes(&self) -> u64 {
         let blocks = self.frames.iter().map(|frame| frame + ROOM_BYTES as u64);
         blocks.sum::<u64>() * self.buffers_per_camera as u64
+    }
+
+    /// Half the time between two triggers, ns: a clock that takes longer to read cannot tell triggers apart.
+    pub fn half_period_ns(&self) -> u64 {
+        (0.5e9 / self.rate_hz) as u64
     }
 
     /// How long the frame pools hold what arrives while the disk stands still, seconds.

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The way to each camera: which interface, and whether that carries its packets. USB cameras have none.
 
+use super::finding::{Check, Finding, Grade};
 use super::load::Load;
-use super::{Check, Finding};
 use crate::base::ids::CameraId;
 use crate::camera::CameraListing;
-use crate::config::NodeConfig;
+use crate::config::{CameraConfig, NodeConfig};
 use crate::network::{Interface, without_link};
 use std::collections::BTreeMap;
 use std::net::{IpAddr, Ipv4Addr};
@@ -14,46 +14,40 @@ use std::path::Path;
 /// Where packets to an address leave this host.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Route {
-    /// Directly through an interface.
+    /// Directly through this interface, without a router.
     Direct(Interface),
-    /// Directly through one of several that are in one subnet: the system chooses, wherever the camera hangs.
-    Shared(Vec<String>),
-    /// To a router behind an interface: no camera network.
+    /// To a router behind this interface: a camera network has none.
     Gateway(String),
-    /// Nowhere; the interfaces of this host that have no link.
+    /// No route; the interfaces of this host that have no link.
     None(Vec<String>),
 }
 
 /// One Ethernet camera and the way to it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CameraPath {
-    /// Its name in the rig.
     pub id: CameraId,
-    /// Its address.
     pub address: IpAddr,
-    /// Bytes of its frames.
+    /// Bytes of one of its frames as it sends them.
     pub frame_bytes: u64,
-    /// The way.
     pub route: Route,
+}
+
+/// The bytes of a camera's frame as it sends them; 0 for one that the rig does not have.
+pub fn sent_bytes(config: &NodeConfig, camera: &CameraConfig) -> u64 {
+    let size = config.rig.cameras().find(|(_, known)| known.id == camera.id);
+    let pixel = camera.words.pixel.unwrap_or_default();
+    size.map_or(0, |(_, known)| pixel.sent_bytes((known.device.width, known.device.height)) as u64)
 }
 
 /// Finds the way to every Ethernet camera. Cameras that are configured by an Aravis id are looked for among those that
 /// discovery `listed`; what is not found there is left to the device checks.
 pub fn gather(config: &NodeConfig, listed: &[CameraListing], all: &[Interface]) -> Vec<CameraPath> {
     let table = std::fs::read_to_string("/proc/net/route").unwrap_or_default();
-    let path = |camera: &crate::config::CameraConfig| {
+    let path = |camera: &CameraConfig| {
         let found = || listed.iter().find(|l| l.id == camera.address && l.protocol != "USB3Vision");
         let address = camera.address.parse().ok().or_else(|| found()?.address.parse().ok())?;
-        let frame = config.rig.cameras().find(|(_, known)| known.id == camera.id);
-        Some(CameraPath {
-            id: camera.id.clone(),
-            address,
-            frame_bytes: frame.map_or(0, |(_, c)| {
-                let pixel = camera.words.pixel.unwrap_or_default();
-                pixel.sent_bytes((c.device.width, c.device.height)) as u64
-            }),
-            route: route(&table, address, all),
-        })
+        let (id, frame_bytes) = (camera.id.clone(), sent_bytes(config, camera));
+        Some(CameraPath { id, address, frame_bytes, route: route(&table, address, all) })
     };
     config.cameras.iter().filter_map(path).collect()
 }
@@ -62,25 +56,22 @@ fn route(table: &str, address: IpAddr, all: &[Interface]) -> Route {
     // GigE Vision is IPv4 only.
     let IpAddr::V4(address) = address else { return Route::None(Vec::new()) };
     match find_route(table, address) {
-        Some((names, false)) => match names.as_slice() {
-            [name] => {
-                let known = all.iter().find(|at| at.name == *name).cloned();
-                Route::Direct(known.unwrap_or_else(|| Interface::describe(name, Vec::new())))
-            }
-            _ => Route::Shared(names),
-        },
-        Some((names, true)) => Route::Gateway(names.join(" or ")),
+        Some((name, false)) => {
+            let known = all.iter().find(|at| at.name == name).cloned();
+            Route::Direct(known.unwrap_or_else(|| Interface::describe(&name, Vec::new())))
+        }
+        Some((name, true)) => Route::Gateway(name),
         None => Route::None(without_link(Path::new("/sys"))),
     }
 }
 
-/// The interfaces of the most specific route in the text of `/proc/net/route`, that of the lowest metric first, and whether
-/// it leads to a gateway. Loopback addresses are in another table.
-fn find_route(table: &str, address: Ipv4Addr) -> Option<(Vec<String>, bool)> {
+/// The interface of the most specific route in the text of `/proc/net/route`, of several the one with the lowest
+/// metric, and whether the route leads to a gateway. Loopback addresses are in another table.
+fn find_route(table: &str, address: Ipv4Addr) -> Option<(String, bool)> {
     const UP: u32 = 1;
     const GATEWAY: u32 = 2;
     if address.is_loopback() {
-        return Some((vec!["lo".to_owned()], false));
+        return Some(("lo".to_owned(), false));
     }
     let rows = table.lines().skip(1).filter_map(|line| {
         let fields: Vec<&str> = line.split_whitespace().collect();
@@ -92,48 +83,37 @@ fn find_route(table: &str, address: Ipv4Addr) -> Option<(Vec<String>, bool)> {
         let fits = flags & UP != 0 && address.to_bits() & mask == target;
         fits.then(|| (mask, std::cmp::Reverse(metric), (*fields[0]).to_owned(), flags & GATEWAY != 0))
     });
-    let mut rows: Vec<_> = rows.collect();
-    rows.sort();
-    let (best, _, first, gateway) = rows.pop()?;
-    let mut names = vec![first];
-    // Of a router one is enough; a camera hangs on one of several interfaces.
-    for (mask, _, name, to_router) in rows.into_iter().rev() {
-        if !gateway && !to_router && mask == best && !names.contains(&name) {
-            names.push(name);
-        }
-    }
-    Some((names, gateway))
+    rows.max().map(|(_, _, name, gateway)| (name, gateway))
 }
 
-/// The verdicts: one per camera on the way to it, one per interface on what it carries.
+/// The verdicts: one per camera on the way to it, one per interface on its load.
 pub fn judge(paths: &[CameraPath], load: &Load) -> Vec<Finding> {
     let mut findings = Vec::new();
-    let mut carried: BTreeMap<String, (Interface, f64, usize)> = BTreeMap::new();
-    for path in paths.iter() {
+    let mut carried: BTreeMap<&str, (&Interface, f64, usize)> = BTreeMap::new();
+    for path in paths {
         findings.push(judge_path(path, load));
         if let Route::Direct(interface) = &path.route {
-            let entry = carried.entry(interface.name.clone());
-            let (_, bits, cameras) = entry.or_insert_with(|| (interface.clone(), 0.0, 0));
+            let (_, bits, cameras) = carried.entry(&interface.name).or_insert((interface, 0.0, 0));
             *bits += load.link_bits_per_s(path.frame_bytes);
             *cameras += 1;
         }
     }
-    findings.extend(carried.into_values().map(|(interface, bits, n)| judge_interface(&interface, bits, n)));
+    findings.extend(carried.into_values().map(|(interface, bits, n)| judge_interface(interface, bits, n)));
     findings
 }
 
 fn judge_path(path: &CameraPath, load: &Load) -> Finding {
     let check = Check::host(format!("way to camera {}", path.id));
-    let packet = load.packet_bytes;
+    let (packet, address) = (load.packet_bytes, path.address);
     match &path.route {
         Route::None(down) if down.is_empty() => check.failed(
-            format!("no route to {}", path.address),
+            format!("no route to {address}"),
             "an interface in the camera's network",
             "give an interface of this host an address in that network",
         ),
-        // The route goes with the link.
+        // An interface without a link often loses its routes.
         Route::None(down) => check.failed(
-            format!("no route to {}, and no link on {}", path.address, down.join(", ")),
+            format!("no route to {address}, and no link on {}", down.join(", ")),
             "an interface with a link in the camera's network",
             format!(
                 "check the cable, the switch and the camera's power, switch the interface on (`ip link set {} up`), or \
@@ -142,61 +122,43 @@ fn judge_path(path: &CameraPath, load: &Load) -> Finding {
             ),
         ),
         Route::Gateway(name) => check.failed(
-            format!("{} lies behind a router ({name})", path.address),
+            format!("{address} lies behind a router ({name})"),
             "an interface in the camera's network",
             "give an interface of this host an address in that network, or correct the camera's address",
         ),
-        Route::Shared(names) => check.failed(
-            format!(
-                "{} are all in the subnet of {}: packets leave by one of them alone",
-                names.join(" and "),
-                path.address
-            ),
-            "one interface in the camera's subnet",
-            "give each interface a subnet of its own, with `ip address` and `fourdbody cameras setup`",
+        Route::Direct(Interface { name, mtu: Some(mtu), .. }) => check.graded(
+            if *mtu >= packet { Grade::Ok } else { Grade::Failed },
+            format!("{name}, MTU {mtu} for packets of {packet} bytes"),
+            format!("an MTU of at least {packet} (acquisition.packet_bytes)"),
+            format!("`ip link set {name} mtu {packet}`, on the switch as well"),
         ),
-        Route::Direct(interface) => match interface.mtu {
-            Some(mtu) if mtu >= packet => {
-                check.ok(format!("{}, MTU {mtu} for packets of {packet}", interface.name))
-            }
-            Some(mtu) => check.failed(
-                format!("{} has an MTU of {mtu}", interface.name),
-                format!("at least {packet} (acquisition.packet_bytes)"),
-                format!("`ip link set {} mtu {packet}`, on the switch as well", interface.name),
-            ),
-            None => check.warning(
-                format!("the MTU of {} cannot be read", interface.name),
-                format!("at least {packet}"),
-                format!("look with `ip link show {}`", interface.name),
-            ),
-        },
+        Route::Direct(Interface { name, mtu: None, .. }) => check.warning(
+            format!("the MTU of {name} cannot be read"),
+            format!("at least {packet}"),
+            format!("look with `ip link show {name}`"),
+        ),
     }
 }
 
 fn judge_interface(interface: &Interface, bits_per_s: f64, cameras: usize) -> Finding {
     let check = Check::host(format!("interface {}", interface.name));
-    let gigabits = bits_per_s / 1e9;
-    let load = format!("{gigabits:.2} Gbit/s of {cameras} cameras");
+    let load = format!("{:.2} Gbit/s of {cameras} cameras", bits_per_s / 1e9);
     if !interface.up {
         return check.failed("has no link", "a link", "check the cable, the switch and the camera's power");
     }
-    match interface.speed_mbit {
-        None => check.ok(format!("up, speed not known, carries {load}")),
-        Some(speed) => {
-            let share = bits_per_s / (speed as f64 * 1e6);
-            let found = format!("{speed} Mbit/s for {load}");
-            match share {
-                s if s > 1.0 => {
-                    check.failed(found, "a faster link", "use 5GigE or 10GigE ports, or spread the cameras")
-                }
-                s if s > 0.95 => check.warning(
-                    found,
-                    "room for packets that are sent again",
-                    "spread the cameras over more ports",
-                ),
-                s => check.ok(format!("{found} ({:.0} %)", s * 100.0)),
-            }
+    let Some(speed) = interface.speed_mbit else {
+        return check.ok(format!("up, speed not known, carries {load}"));
+    };
+    let share = bits_per_s / (speed as f64 * 1e6);
+    let found = format!("{speed} Mbit/s for {load} ({:.0} %)", share * 100.0);
+    match share {
+        s if s > 1.0 => {
+            check.failed(found, "a faster link", "use 5GigE or 10GigE ports, or spread the cameras")
         }
+        s if s > 0.95 => {
+            check.warning(found, "room for packets that are sent again", "spread the cameras over more ports")
+        }
+        _ => check.ok(found),
     }
 }
 
@@ -204,7 +166,7 @@ fn judge_interface(interface: &Interface, bits_per_s: f64, cameras: usize) -> Fi
 mod tests {
     use super::{CameraPath, Interface, Route, find_route, judge};
     use crate::base::ids::CameraId;
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
     use crate::doctor::load::Load;
     use std::net::Ipv4Addr;
 
@@ -217,15 +179,13 @@ mod tests {
 
     #[test]
     #[cfg(target_endian = "little")]
-    fn the_most_specific_route_wins_and_all_interfaces_of_its_subnet_are_named() {
-        let found =
-            |names: &[&str], gateway| Some((names.iter().map(|n| (*n).to_owned()).collect(), gateway));
+    fn the_most_specific_route_wins_and_of_several_the_one_with_the_lowest_metric() {
+        let found = |name: &str, gateway| Some((name.to_owned(), gateway));
         let to = |last| find_route(TABLE, Ipv4Addr::new(192, 168, 10, last));
-        // The camera hangs on one of them, and metrics do not know on which.
-        assert_eq!(to(2), found(&["cam0", "cam1"], false));
-        assert_eq!(to(200), found(&["cam2"], false));
-        assert_eq!(find_route(TABLE, Ipv4Addr::new(10, 0, 0, 1)), found(&["eth0"], true));
-        assert_eq!(find_route(TABLE, Ipv4Addr::new(127, 9, 9, 9)), found(&["lo"], false));
+        assert_eq!(to(2), found("cam0", false));
+        assert_eq!(to(200), found("cam2", false));
+        assert_eq!(find_route(TABLE, Ipv4Addr::new(10, 0, 0, 1)), found("eth0", true));
+        assert_eq!(find_route(TABLE, Ipv4Addr::new(127, 9, 9, 9)), found("lo", false));
         assert_eq!(find_route("", Ipv4Addr::new(10, 0, 0, 1)), None);
     }
 
@@ -260,16 +220,14 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_behind_a_router_or_in_two_interfaces_subnet_is_told() {
+    fn a_camera_behind_a_router_or_without_a_route_fails() {
         let mut lost = paths(9000, None, true, 1);
         lost[0].route = Route::Gateway("eth0".to_owned());
-        assert_eq!(grades(lost.clone()), [Grade::Failed]);
-        lost[0].route = Route::Shared(vec!["cam0".to_owned(), "cam1".to_owned()]);
         assert_eq!(grades(lost.clone()), [Grade::Failed]);
         lost[0].route = Route::None(Vec::new());
         assert_eq!(grades(lost.clone()), [Grade::Failed]);
         lost[0].route = Route::None(vec!["cam0".to_owned()]);
-        let told = judge(&lost, &Load::reference())[0].to_string();
-        assert!(told.contains("no link on cam0") && told.contains("ip link set cam0 up"), "{told}");
+        let text = judge(&lost, &Load::reference())[0].to_string();
+        assert!(text.contains("no link on cam0") && text.contains("ip link set cam0 up"), "{text}");
     }
 }

@@ -1,19 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The reverse-path filter: a strict one drops what a camera sends when its address is reached by another interface.
 
-use super::{Check, Finding};
+use super::finding::{Check, Finding};
 use crate::network::{Interface, shared_subnets};
 use std::path::Path;
 
-/// A filter as the kernel counts it: 0 off, 1 strict, 2 loose.
+/// The kernel's value of a strict filter; 0 is off and 2 is loose.
 const STRICT: u32 = 1;
 
-/// The filter of an interface that cameras send to; `None` where it cannot be read.
+/// The filter of an interface that cameras send to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Filter {
-    /// The interface.
     pub interface: Interface,
-    /// What counts for it.
+    /// The kernel's value in force for it; `None` where it cannot be read.
     pub value: Option<u32>,
 }
 
@@ -23,9 +22,8 @@ pub fn gather(proc: &Path, interfaces: &[Interface]) -> Vec<Filter> {
         let path = proc.join("sys/net/ipv4/conf").join(name).join("rp_filter");
         std::fs::read_to_string(path).ok()?.trim().parse().ok()
     };
-    let all = read("all");
-    // The larger of the two counts (Documentation/networking/ip-sysctl.rst).
-    let value = |name: &str| Some(read(name)?.max(all?));
+    // The larger of the two values is in force (Documentation/networking/ip-sysctl.rst).
+    let value = |name: &str| Some(read(name)?.max(read("all")?));
     interfaces.iter().map(|at| Filter { interface: at.clone(), value: value(&at.name) }).collect()
 }
 
@@ -34,25 +32,25 @@ pub fn judge(filters: &[Filter], all: &[Interface]) -> Vec<Finding> {
     let shared = shared_subnets(all);
     let judge = |Filter { interface: Interface { name, .. }, value }: &Filter| {
         let check = Check::host(format!("reverse-path filter of {name}"));
-        let other = shared.iter().find_map(|(_, one, other)| match name {
-            name if name == one => Some(other),
-            name if name == other => Some(one),
-            _ => None,
-        });
+        let pairs = shared.iter().flat_map(|(_, one, other)| [(one, other), (other, one)]);
+        let other = pairs.filter(|(one, _)| *one == name).map(|(_, other)| other).next();
         match (value, other) {
             (Some(STRICT), Some(other)) => check.failed(
                 format!("strict, and {other} is in the same subnet: packets of cameras there are dropped"),
                 "a subnet of its own for each interface, or a loose filter (2)",
-                format!("give {name} a subnet of its own, or `sysctl net.ipv4.conf.{name}.rp_filter=2` and `...conf.all...`"),
+                format!(
+                    "give {name} a subnet of its own, or `sysctl net.ipv4.conf.{name}.rp_filter=2` and \
+                    `...conf.all...`"
+                ),
             ),
-            (Some(STRICT), None) => {
-                check.ok("strict: cameras in the interface's own subnet are heard, those in others are not")
-            }
+            (Some(STRICT), None) => check.ok(
+                "strict: packets of cameras in the interface's own subnet arrive, those of others do not",
+            ),
             (Some(_), _) => check.ok("off or loose"),
             (None, _) => check.warning(
                 "cannot be read",
                 format!("/proc/sys/net/ipv4/conf/{name}/rp_filter"),
-                "mount /proc; where it is strict, cameras in other subnets are not heard",
+                "mount /proc; a strict filter drops the packets of cameras in other subnets",
             ),
         }
     };
@@ -62,7 +60,7 @@ pub fn judge(filters: &[Filter], all: &[Interface]) -> Vec<Finding> {
 #[cfg(test)]
 mod tests {
     use super::{gather, judge};
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
     use crate::network::Interface;
     use std::path::Path;
 

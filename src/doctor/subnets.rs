@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Cameras and interfaces whose subnets do not fit: a camera that nobody reaches, two interfaces in one subnet.
+//! Cameras and interfaces whose subnets do not fit: a camera that this host cannot reach, two interfaces in one subnet.
 
-use super::{Check, Finding};
+use super::finding::{Check, Finding};
 use crate::network::{Answer, Interface, shared_subnets};
 
-/// The verdicts: on interfaces that share a subnet where one of `used` is among them, and on cameras that answered a broadcast
-/// from a subnet that their interface is not in.
+/// The verdicts: on interfaces that share a subnet where one of `used` is among them, and on cameras that answered a
+/// broadcast from a subnet that their interface is not in.
 pub fn judge(all: &[Interface], used: &[Interface], answers: &[Answer]) -> Vec<Finding> {
     let is_used = |name: &str| {
         used.iter().any(|at| at.name == name) || answers.iter().any(|answer| answer.interface == name)
@@ -39,7 +39,7 @@ pub fn judge(all: &[Interface], used: &[Interface], answers: &[Answer]) -> Vec<F
 #[cfg(test)]
 mod tests {
     use super::judge;
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
     use crate::network::{Answer, Interface, Mac};
 
     fn interface(name: &str, subnet: &str) -> Interface {
@@ -70,7 +70,7 @@ mod tests {
         let lines = |used: &[Interface], answers: &[Answer]| -> Vec<String> {
             judge(&all, used, answers).iter().map(ToString::to_string).collect()
         };
-        assert!(lines(&all[..0], &[]).is_empty(), "nobody's cameras are there");
+        assert!(lines(&all[..0], &[]).is_empty(), "no cameras are there");
         let shared = lines(&all[..1], &[]);
         assert!(shared.len() == 1 && shared[0].contains("cam0 and cam1"), "{shared:?}");
         let findings = judge(&all[2..3], &all[2..3], &[answer([169, 254, 1, 2], "lan")]);

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Memory that the kernel gives to USB transfers: 16 MiB by default, less than a few frames of several cameras.
 
-use super::{Check, Finding};
+use super::finding::{Check, Finding, Grade};
+use super::network::sent_bytes;
 use crate::camera::CameraListing;
-use crate::config::NodeConfig;
+use crate::config::{CameraConfig, NodeConfig};
 use std::path::Path;
 
-/// Transfers that Aravis keeps under way for each stream, bytes; and one frame that is being taken.
+/// Transfers that Aravis keeps under way for each stream, bytes; a frame that is being taken comes on top.
 const UNDER_WAY: u64 = 8 << 20;
 
 /// USB3 cameras of a node, and the memory for their transfers.
@@ -14,26 +15,18 @@ const UNDER_WAY: u64 = 8 << 20;
 pub struct UsbFacts {
     /// Bytes of a frame of each of them.
     pub frames: Vec<u64>,
-    /// `usbfs_memory_mb`; 0: no limit. `None`: cannot be read.
+    /// `usbfs_memory_mb`, MiB; 0 is unlimited, `None` where it cannot be read.
     pub memory_mb: Option<u64>,
 }
 
-/// Looks which of the node's cameras are on USB (by what discovery listed), below `sys`, which is `/sys`.
+/// Finds which of the node's cameras discovery `listed` on USB, and reads the limit below `sys`, which is `/sys`.
 pub fn gather(sys: &Path, config: &NodeConfig, listed: &[CameraListing]) -> UsbFacts {
-    let on_usb = |address: &str| {
-        listed
-            .iter()
-            .any(|known| known.protocol == "USB3Vision" && (known.id == address || known.address == address))
+    let on_usb = |camera: &&CameraConfig| {
+        let is_it = |known: &CameraListing| [&known.id, &known.address].contains(&&camera.address);
+        listed.iter().any(|known| known.protocol == "USB3Vision" && is_it(known))
     };
-    let size = |camera: &crate::config::CameraConfig| {
-        let known = config.rig.cameras().find(|(_, known)| known.id == camera.id);
-        let pixel = camera.words.pixel.unwrap_or_default();
-        known.map_or(0, |(_, known)| pixel.sent_bytes((known.device.width, known.device.height)) as u64)
-    };
-    UsbFacts {
-        frames: config.cameras.iter().filter(|camera| on_usb(&camera.address)).map(size).collect(),
-        memory_mb: memory_mb(sys),
-    }
+    let cameras = config.cameras.iter().filter(on_usb);
+    UsbFacts { frames: cameras.map(|camera| sent_bytes(config, camera)).collect(), memory_mb: memory_mb(sys) }
 }
 
 fn memory_mb(sys: &Path) -> Option<u64> {
@@ -46,25 +39,24 @@ pub fn judge(facts: &UsbFacts) -> Option<Finding> {
     if facts.frames.is_empty() {
         return None;
     }
-    let check = Check::host("usbfs memory");
-    let needed: u64 = facts.frames.iter().map(|frame| frame + UNDER_WAY).sum();
-    let needed_mb = needed.div_ceil(1 << 20);
+    let needed_mb = facts.frames.iter().map(|frame| frame + UNDER_WAY).sum::<u64>().div_ceil(1 << 20);
     let cameras = facts.frames.len();
+    let (grade, found) = match facts.memory_mb {
+        Some(0) => (Grade::Ok, "unlimited".to_owned()),
+        Some(mb) if mb < needed_mb => (Grade::Failed, format!("{mb} MiB")),
+        Some(mb) => (Grade::Ok, format!("{mb} MiB for {cameras} USB3 cameras")),
+        None => (Grade::Warning, "cannot be read".to_owned()),
+    };
+    let advice = "`echo 1000 > /sys/module/usbcore/parameters/usbfs_memory_mb`, for good as \
+        usbcore.usbfs_memory_mb=1000 on the kernel's command line";
     let expected = format!("at least {needed_mb} MiB for {cameras} USB3 cameras");
-    let advice = "`echo 1000 > /sys/module/usbcore/parameters/usbfs_memory_mb`, for good as usbcore.usbfs_memory_mb=1000 on \
-                  the kernel's command line";
-    Some(match facts.memory_mb {
-        Some(0) => check.ok("without a limit"),
-        Some(mb) if mb < needed_mb => check.failed(format!("{mb} MiB"), expected, advice),
-        Some(mb) => check.ok(format!("{mb} MiB for {cameras} USB3 cameras")),
-        None => check.warning("cannot be read", expected, advice),
-    })
+    Some(Check::host("usbfs memory").graded(grade, found, expected, advice))
 }
 
 #[cfg(test)]
 mod tests {
     use super::{UsbFacts, judge, memory_mb};
-    use crate::doctor::Grade;
+    use crate::doctor::finding::Grade;
 
     #[test]
     fn the_kernels_own_limit_is_too_low_for_two_cameras() {

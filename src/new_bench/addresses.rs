@@ -7,22 +7,21 @@ use std::collections::BTreeSet;
 use std::net::Ipv4Addr;
 use std::time::Duration;
 
-/// A camera answers a broadcast within this.
+/// How long cameras are given to answer a broadcast.
 pub const PATIENCE: Duration = Duration::from_millis(1000);
 
 /// A camera that should have another address.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Move {
-    /// The camera.
     pub mac: Mac,
-    /// The interface that it hangs on.
+    /// The interface on which it answers.
     pub interface: String,
     /// Its new address, with the length of its network's prefix.
     pub to: Subnet,
 }
 
-/// New addresses for all cameras of `found` whose own lie in no subnet of the interface on which they answered: the first of
-/// that subnet that no camera of `everybody` has, out of `network` where one is wanted.
+/// New addresses for all cameras of `found` whose own lie in no subnet of the interface on which they answered: the
+/// first of that subnet that no camera of `everybody` has, out of `network` where one is wanted.
 ///
 /// # Errors
 /// Cameras for which there is no address.
@@ -63,10 +62,10 @@ pub fn moves(
     if problems.is_empty() { Ok(moves) } else { Err(problems) }
 }
 
-/// Gives each camera its new address and looks whether it has it.
+/// Gives each camera its new address, and checks that it answers there.
 ///
 /// # Errors
-/// Every camera that did not move.
+/// A sentence for each camera that does not have its new address.
 pub fn carry_out(moves: &[Move], interfaces: &[Interface]) -> Result<(), Vec<String>> {
     let mut problems = Vec::new();
     for Move { mac, interface, to } in moves {
@@ -76,7 +75,7 @@ pub fn carry_out(moves: &[Move], interfaces: &[Interface]) -> Result<(), Vec<Str
             problems.push(format!("the camera {mac} cannot be given {to} on {interface}: {error}"));
         }
     }
-    // What it says counts, not whether its acknowledge arrived.
+    // The camera's own answer is the proof: an acknowledge may be lost.
     let now = discover(interfaces, PATIENCE);
     for Move { mac, interface, to } in moves {
         let has = now.iter().find(|answer| answer.mac == *mac).map(|answer| answer.address);
@@ -91,7 +90,8 @@ pub fn carry_out(moves: &[Move], interfaces: &[Interface]) -> Result<(), Vec<Str
     if problems.is_empty() { Ok(()) } else { Err(problems) }
 }
 
-/// Whether a camera has the address of now when its power was off; what an operator should know where it does not.
+/// Whether a camera has its present address again after a power cycle; a remark for the operator where that cannot be
+/// read.
 pub fn is_kept(answer: &Answer) -> Result<bool, String> {
     match read_kept_address(answer.address) {
         Ok(KeptAddress::Kept(kept)) => Ok(kept == answer.address),
@@ -102,10 +102,10 @@ pub fn is_kept(answer: &Answer) -> Result<bool, String> {
     }
 }
 
-/// Has a camera keep the address of now.
+/// Makes a camera keep its present address after a power cycle.
 ///
 /// # Errors
-/// Why it does not.
+/// Why it does not, and what to do.
 pub fn keep(answer: &Answer, interfaces: &[Interface]) -> Result<(), String> {
     let at = interfaces.iter().find(|interface| interface.name == answer.interface);
     let subnet = at.and_then(|at| at.subnets.iter().find(|subnet| subnet.contains(answer.address)));

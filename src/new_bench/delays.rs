@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the frames of a few pulses say of a camera: whose wire it hangs on, and when its stamps and packets come. Pure.
+//! What the frames of a few pulses show of a camera: the head that it is wired to, and the delays of its timestamps and
+//! packets. Pure functions.
 
-/// The heads' pulses come so long after each other, ns: further apart than any camera is late.
+/// Time from one head's pulse to the next head's, ns: longer than any camera's delay.
 pub const STEP_NS: u64 = 200_000_000;
-/// The first head's comes so long after the trigger, ns.
+/// Time from the trigger to the first head's pulse, ns.
 const FIRST_NS: u64 = 1_000_000;
 
-/// How long after the trigger a head's pulse comes, ns.
+/// Time from the trigger to a head's pulse, ns.
 pub fn head_delay_ns(head: usize) -> u64 {
     FIRST_NS + STEP_NS * head as u64
 }
@@ -19,16 +20,16 @@ pub fn period_ns(heads: usize) -> u64 {
 /// One frame's times on the host's clock, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameTimes {
-    /// When its first packet came.
+    /// Arrival of its first packet.
     pub arrived_ns: u64,
-    /// Its stamp; `None` where the camera has none that can be related.
+    /// Its timestamp; `None` where the camera has none that can be related to the host's clock.
     pub stamped_ns: Option<u64>,
 }
 
-/// What the pulses say of a camera.
+/// What pulses show of a camera's wiring and delays.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Delays {
-    /// The number of the head on whose wire it hangs.
+    /// The number of the head whose pulse it answers.
     pub head: usize,
     /// From the edge to the stamp, us.
     pub stamp_us: Option<f64>,
@@ -41,8 +42,8 @@ fn median(mut values: Vec<i64>) -> Option<i64> {
     values.get(values.len() / 2).copied()
 }
 
-/// Reads the frames that a camera sent after these triggers (host clock, ns, ascending). `None` unless it sent one for each of
-/// them; the first may be missing, as cameras lose one after a pause.
+/// Reads the frames that a camera sent after these triggers (host clock, ns, ascending). `None` unless it sent one for
+/// each of them; the first may be missing, as cameras lose one after a pause.
 pub fn read(triggers: &[u64], frames: &[FrameTimes], heads: usize) -> Option<Delays> {
     let period = period_ns(heads);
     let late = |frame: &FrameTimes| {

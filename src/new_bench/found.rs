@@ -1,24 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Cameras that are there, on whichever interface or bus: who they are, and by what they are known.
+//! Cameras that were found on a network interface or a bus, and the names by which each is known.
 
 use crate::camera::CameraListing;
 use crate::network::{Answer, Mac};
 use std::fmt;
 
-/// One camera.
+/// A camera that answered a broadcast, or was listed on a bus.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Found {
     /// What a node file calls its address: an IP address, or an Aravis id.
     pub place: String,
     /// Its MAC; none where it has no network.
     pub mac: Option<Mac>,
-    /// Manufacturer.
     pub vendor: String,
-    /// Model.
     pub model: String,
-    /// Serial number.
     pub serial: String,
-    /// The name that its user gave it; empty where none did.
+    /// The user-defined name that is stored in it; empty where there is none.
     pub user_name: String,
     /// The network interface on which it answered.
     pub interface: Option<String>,

@@ -7,18 +7,17 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, value};
 
-/// What a new file says before its cameras; what is `None` stays as the file has it.
+/// Values for a node file before its cameras; what is `None` stays as the file has it.
 #[derive(Debug, Clone, Default)]
 pub struct Given {
     /// The node's name in the rig.
     pub node: Option<String>,
-    /// The rig file.
+    /// The rig file, relative to the node file.
     pub rig: Option<PathBuf>,
-    /// The HSU's serial device.
     pub hsu: Option<PathBuf>,
-    /// Where sessions go.
+    /// The directory in which sessions are recorded.
     pub sessions: Option<PathBuf>,
-    /// Where the API listens.
+    /// Address and port of the API.
     pub listen: Option<SocketAddr>,
 }
 
@@ -33,25 +32,27 @@ pub struct Entry {
     pub trigger_line: Option<String>,
     /// The time between two packets.
     pub packet_delay: Option<PacketDelay>,
-    /// What stands above the entry.
-    pub told: Option<String>,
+    /// The comment above the entry, in one line.
+    pub comment: String,
 }
 
 /// The comment that this module writes and finds again.
 const COMMENT: &str = "# set up: ";
 
-const FIRST: &str = "# Written by `fourdbody cameras setup`; check with `fourdbody check-config`, and see docs/guide/new-bench.md.\n";
+const FIRST: &str = "# Written by `fourdbody cameras setup`; check with `fourdbody check-config`, and see \
+    docs/guide/new-bench.md.\n";
 
-/// A file's text with what was given, and with what every file must say and this one does not.
+/// A file's text with the given values, and with defaults for the keys that every file needs and this one does not
+/// have.
 ///
 /// # Errors
-/// The text is no TOML, or says something of another kind where a table belongs.
+/// The text is no TOML, or has something else where a table belongs.
 pub fn begin(text: &str, given: &Given) -> Result<String, String> {
     let mut file = parse(text)?;
     let source = file.get("trigger").and_then(|trigger| trigger.get("source")).and_then(Item::as_str);
     if source == Some("action") {
-        return Err("trigger.source is \"action\": expected an HSU, by whose pulses lines are found, and action commands \
-                    come by none; write the cameras' ids and addresses into the file, and try them by a session"
+        return Err("trigger.source is \"action\": expected an HSU, by whose pulses lines are found, and action \
+            commands come by none; write the cameras' ids and addresses into the file, and try them by a session"
             .to_owned());
     }
     let path = |path: &PathBuf| path.display().to_string();
@@ -62,13 +63,13 @@ pub fn begin(text: &str, given: &Given) -> Result<String, String> {
     set(file.as_table_mut(), "node", given.node.clone().map(Into::into));
     set(file.as_table_mut(), "rig", given.rig.as_ref().map(|rig| path(rig).into()));
     set_default(file.as_table_mut(), "rig", "rig.toml".into());
-    for (section, key, said, default) in [
+    for (section, key, given, default) in [
         ("api", "listen", given.listen.map(|listen| listen.to_string()), "127.0.0.1:7401"),
         ("hsu", "device", given.hsu.as_ref().map(path), "/dev/fourdbody-hsu"),
         ("storage", "sessions_dir", given.sessions.as_ref().map(path), "/var/lib/fourdbody/sessions"),
     ] {
         let table = table_of(&mut file, section)?;
-        set(table, key, said.map(Into::into));
+        set(table, key, given.map(Into::into));
         // A node may listen on a socket alone.
         if section != "api" || !table.contains_key("socket") {
             set_default(table, key, default.into());
@@ -112,16 +113,14 @@ pub fn with_cameras(text: &str, entries: &[Entry], packet_bytes: Option<u32>) ->
                 PacketDelay::Microseconds(delay) => delay.into(),
             }),
         );
-        if let Some(told) = &entry.told {
-            let before = table.decor().prefix().and_then(|prefix| prefix.as_str()).unwrap_or("\n").to_owned();
-            let kept = before.lines().filter(|line| !line.starts_with(COMMENT));
-            let mut prefix: String = kept.map(|line| format!("{line}\n")).collect();
-            if prefix.is_empty() {
-                prefix.push('\n');
-            }
-            let told: String = told.chars().filter(|c| !c.is_control()).collect();
-            table.decor_mut().set_prefix(format!("{prefix}{COMMENT}{told}\n"));
+        let before = table.decor().prefix().and_then(|prefix| prefix.as_str()).unwrap_or("\n").to_owned();
+        let kept = before.lines().filter(|line| !line.starts_with(COMMENT));
+        let mut prefix: String = kept.map(|line| format!("{line}\n")).collect();
+        if prefix.is_empty() {
+            prefix.push('\n');
         }
+        let comment: String = entry.comment.chars().filter(|c| !c.is_control()).collect();
+        table.decor_mut().set_prefix(format!("{prefix}{COMMENT}{comment}\n"));
     }
     Ok(file.to_string())
 }
@@ -158,13 +157,13 @@ mod tests {
     use crate::base::ids::CameraId;
     use crate::config::PacketDelay;
 
-    fn entry(id: &str, told: &str) -> Entry {
+    fn entry(id: &str, comment: &str) -> Entry {
         Entry {
             id: CameraId::from(id),
             address: "192.168.10.2".to_owned(),
             trigger_line: Some("Line1".to_owned()),
             packet_delay: Some(PacketDelay::Auto),
-            told: Some(told.to_owned()),
+            comment: comment.to_owned(),
         }
     }
 

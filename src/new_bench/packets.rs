@@ -5,9 +5,9 @@ use crate::camera::{Camera, CameraError};
 use crate::config::PacketDelay;
 use crate::network::wire;
 
-/// Larger ones are no standard, and save little.
+/// The largest packet to try, bytes: larger ones are no standard, and save little.
 const LARGEST: u32 = 9000;
-/// What every camera and every network takes.
+/// Bytes of a packet that every camera can send and every network carries.
 const LEAST: u32 = 1500;
 
 /// The largest packet that arrives, at most the interface's MTU; `None` where the transport has no packets.
@@ -19,12 +19,12 @@ pub fn largest(camera: &mut dyn Camera, mtu: Option<u32>) -> Result<Option<u32>,
     Ok(camera.test_packet_size(most)?.map(|test| test.arrived))
 }
 
-/// What goes over one link after a trigger.
+/// The packets on one link after a trigger.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Burst {
     /// Cameras that send at once.
     pub cameras: usize,
-    /// Bytes of a frame.
+    /// Bytes of one frame of a camera.
     pub frame_bytes: usize,
     /// Bytes of a packet, with all its headers but those of Ethernet.
     pub packet_bytes: u32,
@@ -39,8 +39,8 @@ impl Burst {
         bytes as f64 * 8.0 * 1e9 / self.period_ns as f64
     }
 
-    /// The time between two packets of a camera: those of the others fit in between, and a frame still fits into nine tenths
-    /// of a period. Without the link's rate it is the cameras' own share of the period.
+    /// The time between two packets of a camera: those of the others fit in between, and a frame still fits into nine
+    /// tenths of a period. Without the link's rate it is the cameras' own share of the period.
     pub fn delay(&self, speed_mbit: Option<u64>) -> Option<PacketDelay> {
         if self.cameras < 2 {
             return None;

@@ -5,26 +5,24 @@ use super::delays::FrameTimes;
 use crate::base::ids::{NodeId, SessionName};
 use crate::base::time::{HostClock, host_time_ns, monotonic_ns};
 use crate::camera::{
-    Camera, CameraClockSample, CameraError, FrameContract, FrameStream, Received, StreamOptions, Transfer,
-    quiet_stream,
+    Camera, CameraClockSample, CameraError, FrameStream, Received, StreamOptions, Transfer, quiet_stream,
 };
-use crate::config::SocketMode;
 use crate::host::frame_memory::Pool;
 use crate::hsu::{ArmRequest, Hsu, HsuError, HsuEvent, HsuTiming, session_id};
 use std::time::{Duration, Instant};
 
-/// Readings of each clock; the one with the shortest way counts.
+/// Number of readings of each clock, of which the one with the shortest round trip is used.
 const READINGS: usize = 8;
-/// Before the train no camera may send for so long.
+/// Time before the train in which frames show that a camera is not triggered by the HSU.
 const SILENCE: Duration = Duration::from_millis(250);
-/// Frames may come so long after the last trigger.
+/// How long frames are awaited after the last trigger.
 const TAIL: Duration = Duration::from_millis(400);
-/// The unit says that the train has ended so long after it has, at most.
+/// How long the report of the end is awaited after a train has ended.
 const END_PATIENCE: Duration = Duration::from_secs(3);
-/// Buffers of each stream.
+/// Number of frame buffers of each stream.
 const BLOCKS: usize = 16;
 
-/// A camera that waits for pulses.
+/// A camera with an open stream that waits for pulses.
 pub struct Waiting<'a> {
     camera: &'a mut dyn Camera,
     stream: Box<dyn FrameStream>,
@@ -34,7 +32,7 @@ pub struct Waiting<'a> {
     seen: Seen,
 }
 
-/// What came of a camera during a train.
+/// What a camera sent during a train.
 #[derive(Debug, Default)]
 pub struct Seen {
     /// Complete frames, in their order.
@@ -47,47 +45,15 @@ pub struct Seen {
     pub picture: Vec<u8>,
 }
 
-/// What became of a train.
-#[derive(Debug)]
-pub struct Train {
-    /// Its triggers on the host's clock, ns, ascending.
-    pub triggers: Vec<u64>,
-    /// What came of each camera, in their order.
-    pub seen: Vec<Seen>,
-}
-
-/// How streams are made.
-#[derive(Debug, Clone)]
-pub struct Reception {
-    /// Bytes of a packet.
-    pub packet_bytes: u32,
-    /// How packets are received.
-    pub socket: SocketMode,
-}
-
 impl<'a> Waiting<'a> {
     /// Makes a stream for a camera that is set up, and reads its clock.
     ///
     /// # Errors
     /// As the camera's.
-    pub fn new(
-        camera: &'a mut dyn Camera,
-        contract: FrameContract,
-        reception: &Reception,
-        period_ns: u64,
-    ) -> Result<Self, CameraError> {
-        let options = StreamOptions {
-            contract,
-            packet_bytes: reception.packet_bytes,
-            socket: reception.socket,
-            period_ns,
-        };
-        let pool = Pool::new(false, 0);
-        let (stream, _) = quiet_stream(
-            camera,
-            || pool.take(contract.pixels(), contract.received_bytes(), BLOCKS),
-            &options,
-        )?;
+    pub fn new(camera: &'a mut dyn Camera, options: &StreamOptions) -> Result<Self, CameraError> {
+        let (pool, contract) = (Pool::new(false, 0), options.contract);
+        let blocks = || pool.take(contract.pixels(), contract.received_bytes(), BLOCKS);
+        let (stream, _) = quiet_stream(camera, blocks, options)?;
         let mut clock: Option<CameraClockSample> = None;
         for _ in 0..READINGS {
             let Some(reading) = camera.sample_clock()? else { break };
@@ -137,20 +103,16 @@ fn hsu_minus_host_ns(hsu: &Hsu, host: &HostClock) -> Result<i128, HsuError> {
 /// Why there was no train.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
-    /// The unit.
+    /// The unit failed, or its link did.
     #[error("{0}")]
     Hsu(#[from] HsuError),
-    /// It said that it began, and not that it ended.
+    /// The unit reported the beginning of the train, and not its end.
     #[error("the HSU began {wanted} triggers and reported {found} of them; check the serial cable")]
-    NoEnd {
-        /// Asked for.
-        wanted: u32,
-        /// Reported.
-        found: usize,
-    },
+    NoEnd { wanted: u32, found: usize },
 }
 
-/// Has the unit emit `count` triggers with this timing, and takes what the cameras send. Cameras are stopped, whatever happens.
+/// Has the unit emit `count` triggers with this timing, and receives the frames of the cameras. Returns the triggers on
+/// the host's clock, ns, ascending, and what each camera sent, in their order. Cameras are stopped, whatever happens.
 ///
 /// # Errors
 /// [`TrainError`]; a camera that cannot be started is one that sends nothing.
@@ -160,7 +122,7 @@ pub fn train(
     timing: &HsuTiming,
     count: u32,
     mut cameras: Vec<Waiting<'_>>,
-) -> Result<Train, TrainError> {
+) -> Result<(Vec<u64>, Vec<Seen>), TrainError> {
     let host = HostClock::start();
     let result = fire(hsu, node, timing, count, &mut cameras, &host);
     for waiting in &mut cameras {
@@ -169,7 +131,7 @@ pub fn train(
         }
     }
     let triggers = result?;
-    Ok(Train { triggers, seen: cameras.into_iter().map(|waiting| waiting.seen).collect() })
+    Ok((triggers, cameras.into_iter().map(|waiting| waiting.seen).collect()))
 }
 
 fn fire(

@@ -8,7 +8,7 @@ use crate::base::ids::CameraId;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Known {
-    /// It was said on the command line.
+    /// The option --camera names it.
     Said,
     /// The node file has its address.
     InFile,
@@ -16,13 +16,13 @@ pub enum Known {
     ByUserName,
     /// It is the only one without a name on the wire of its head.
     ByPulse,
-    /// Its lens was covered.
+    /// It is the one whose lens the operator covered.
     Covered,
-    /// By the order of serial numbers: somebody must look at its picture.
+    /// By the order of serial numbers: the operator must look at its picture.
     InOrder,
 }
 
-/// What was said: `id` is the camera with this serial number, address, MAC or name of its own.
+/// An option --camera: `id` is the camera with this serial number, address, MAC or user-defined name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Claim {
     /// Its name in the rig.
@@ -40,12 +40,12 @@ pub struct Role {
     pub head: usize,
     /// Which of the answers is its.
     pub camera: usize,
-    /// How that is known.
+    /// How it is known that it is this camera.
     pub known: Known,
 }
 
-/// Gives every camera of the rig (with the number of its head) one that answered: by what was said, by the addresses of the
-/// node file, by the cameras' own names, the rest in the order of serial numbers.
+/// Gives every camera of the rig (with the number of its head) one that answered: by the options --camera, by the
+/// addresses of the node file, by the cameras' own names, the rest in the order of serial numbers.
 ///
 /// # Errors
 /// Everything that keeps the rig from having each of its cameras once.
@@ -59,9 +59,9 @@ pub fn assign(
     let mut roles: Vec<Role> = Vec::new();
     let mut take = |roles: &mut Vec<Role>, id: &CameraId, camera: usize, known: Known| {
         if let Some(other) = roles.iter().find(|role| role.camera == camera) {
-            // What the file or the camera itself says gives way to what was said.
+            // The node file and the camera itself give way to the option; two options may not contradict each other.
             if known == Known::Said {
-                let twice = format!("--camera: {} is said to be {} and {id}", found[camera], other.id);
+                let twice = format!("--camera: {} cannot be both {} and {id}", found[camera], other.id);
                 problems.push(twice);
             }
         } else if let Some((_, head)) = wanted.iter().find(|(known, _)| known == id)
@@ -83,11 +83,11 @@ pub fn assign(
             }
             [camera] => take(&mut roles, id, *camera, Known::Said),
             [] => unmet.push(format!(
-                "--camera {id}={who}: no camera with this serial number, address, MAC or name answers; check its power and \
-                 cable"
+                "--camera {id}={who}: no camera with this serial number, address, MAC or name answers; check its \
+                 power and cable"
             )),
             several => unmet.push(format!(
-                "--camera {id}={who}: {} cameras are known by that; say the MAC or the address of one: {}",
+                "--camera {id}={who}: {} cameras are known by that; give the MAC or the address of one: {}",
                 several.len(),
                 found[several[0]]
             )),
@@ -113,7 +113,7 @@ pub fn assign(
     if rest.len() > open.len() && !open.is_empty() {
         let all: Vec<String> = rest.iter().map(|camera| found[*camera].to_string()).collect();
         problems.push(format!(
-            "{} cameras could be the {} that have no name yet ({}): say which with --camera, or leave others out with \
+            "{} cameras could be the {} that have no name yet ({}): name them with --camera, or leave others out with \
              --network",
             rest.len(),
             open.len(),
@@ -133,11 +133,11 @@ pub fn assign(
     Ok(roles)
 }
 
-/// Puts each camera on the head whose pulse it answered (`heads`, a head a role; `None`: unknown). Those whose names are known
-/// some other way must be there already; the others take the free names of their head, in order.
+/// Puts each camera on the head whose pulse it answered (`heads`, a head a role; `None`: unknown). Those whose names
+/// are known some other way must be there already; the others take the free names of their head, in order.
 ///
 /// # Errors
-/// Every camera that hangs on the wire of another head.
+/// A sentence for each camera that is wired to another head.
 pub fn by_heads(roles: &[Role], heads: &[Option<usize>]) -> Result<Vec<Role>, Vec<String>> {
     let mut problems = Vec::new();
     let mut sorted = roles.to_vec();
@@ -145,8 +145,8 @@ pub fn by_heads(roles: &[Role], heads: &[Option<usize>]) -> Result<Vec<Role>, Ve
     for (role, head) in roles.iter().zip(heads) {
         if let Some(head) = head.filter(|head| !free(role) && *head != role.head) {
             problems.push(format!(
-                "{} takes its frames at the pulse of head number {head}, expected number {}: exchange the trigger wires, \
-                 or correct --camera",
+                "{} takes its frames at the pulse of head number {head}, expected number {}: exchange the trigger \
+                 wires, or correct --camera",
                 role.id, role.head
             ));
         }
@@ -178,14 +178,14 @@ pub fn by_heads(roles: &[Role], heads: &[Option<usize>]) -> Result<Vec<Role>, Ve
     if problems.is_empty() { Ok(sorted) } else { Err(problems) }
 }
 
-/// What a look at several cameras shows of the one whose lens somebody covers.
+/// What the pictures of several cameras show while the operator covers the lens of one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look {
     /// The picture of this one is dark, and no other's.
     Covered(usize),
     /// No picture is much darker than all others.
     NoneDark,
-    /// This one sent no picture, so that nothing can be said of the others either.
+    /// This one sent no picture, so that nothing is known of the others either.
     NoPicture(usize),
 }
 
@@ -257,7 +257,7 @@ mod tests {
         let claims = [said("h9", "10"), said("h0_up", "10"), said("h0_low", "77")];
         let problems = assign(&wanted(), &found, &claims, &[]).expect_err("wrong");
         let all = problems.join("\n");
-        for part in ["h9=10: expected", "say the MAC or", "h0_low=77: no camera", "could be h1_up"] {
+        for part in ["h9=10: expected", "give the MAC or", "h0_low=77: no camera", "could be h1_up"] {
             assert!(all.contains(part), "{part:?} missing in {all}");
         }
         let four: Vec<Found> = (1..5).map(|n| answer(&n.to_string(), n, "")).collect();

@@ -1,73 +1,37 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The steps of a new bench, in their order: who is there, addresses, packets, pulses, names, the rig's rate, pictures, the
-//! node file.
+//! The steps of a new bench, in their order: discovery, addresses, packets, pulses, names, the rig's rate, pictures,
+//! the node file.
 
 use super::addresses;
 use super::begun::{Begun, begin_file};
 use super::found::Found;
 use super::lines::{BenchCamera, Unit, find};
-use super::node_file::{Entry, Given, with_cameras};
-use super::outcome::{NamedCamera, Outcome, comment, picture};
+use super::node_file::{Entry, with_cameras};
+use super::options::{Operator, Options};
+use super::outcome::{NamedCamera, Outcome, comment};
 use super::packets::{Burst, largest};
-use super::pulses::Reception;
-use super::roles::{Claim, Known, Look, Role, assign, by_heads, covered};
+use super::roles::{Known, Look, Role, assign, by_heads, covered};
 use super::who::{left_out, those_meant, who_answers};
 use crate::base::ids::CameraId;
-use crate::base::write_whole;
-use crate::base::{Exit, Fault};
-use crate::camera::{Camera, CameraBackend, Wishes};
+use crate::base::{Fault, write_whole};
+use crate::camera::{CameraBackend, Wishes};
 use crate::config::{NodeConfig, PacketDelay};
 use crate::hsu::{HsuTimeouts, HsuTiming, TriggerUnit};
-use crate::network::{Answer, Interface, Subnet, interfaces, shared_subnets, without_link};
+use crate::network::{Answer, Interface, interfaces, shared_subnets, without_link};
 use std::collections::BTreeMap;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// At the rig's rate so many triggers follow the warm-up.
+/// Number of triggers after the warm-up, when frames are counted at the rig's rate.
 const TRIGGERS: u32 = 20;
 
-/// Times that pulses may leave a camera's picture out, while lenses are covered.
+/// How many times pulses are repeated because a camera sent no picture, while lenses are covered.
 const LOOKS: usize = 3;
 
-/// What is to be set up.
-#[derive(Debug, Clone)]
-pub struct Options {
-    /// The node file; it need not be there.
-    pub path: PathBuf,
-    /// What it says before its cameras.
-    pub given: Given,
-    /// Which camera is which.
-    pub claims: Vec<Claim>,
-    /// Cameras of a head that nothing else tells apart are named in the order of their serial numbers.
-    pub in_order: bool,
-    /// Only cameras with addresses in this network, and those in `claims`.
-    pub network: Option<Subnet>,
-}
-
-/// Who stands at the bench.
-pub trait Operator {
-    /// Says what is going on.
-    fn tell(&mut self, line: &str);
-    /// Whether to do this.
-    fn agrees(&mut self, question: &str) -> bool;
-    /// Waits until somebody has done this; `false` where nobody is there.
-    fn does(&mut self, what: &str) -> bool;
-    /// Whether somebody is there.
-    fn is_there(&self) -> bool;
-}
-
-pub(super) fn usage(message: impl ToString) -> Fault {
-    Fault::new(Exit::Usage, message)
-}
-
-fn device(problems: &[String]) -> Fault {
-    Fault::new(Exit::Device, problems.join("\n"))
-}
-
-/// Sets a bench up.
+/// Sets a bench up: leads the operator through all steps and writes the node file.
 ///
 /// # Errors
-/// What ends it before the file can be written. Later problems are in [`Outcome::problems`], and the file says what is known.
+/// A problem before the file can be written. Later ones are in [`Outcome::problems`], and the file has what is known.
 pub fn set_up(
     options: &Options,
     backend: &mut dyn CameraBackend,
@@ -93,33 +57,34 @@ pub fn set_up(
     found.extend(listed.iter().filter_map(Found::of_bus));
     found.iter().for_each(|found| operator.tell(&format!("found {found}")));
     let roles = assign(&wanted, &found, &options.claims, &begun.in_file).map_err(|mut problems| {
-        // Where one may be that is missing.
+        // A missing camera may be one of these.
         problems.extend(outside.iter().cloned());
         let down = without_link(Path::new("/sys"));
         if found.len() < wanted.len() && !down.is_empty() {
             problems.push(format!("no link on {}: check cables and switches there", down.join(", ")));
         }
-        device(&problems)
+        Fault::device(problems.join("\n"))
     })?;
     ask_before_pulses(options, &roles, &found, operator)?;
     no_shared_subnet(&roles, &found, &interfaces)?;
 
-    let order = wanted.into_iter().map(|(id, _)| id).collect();
     let mut work = Work {
+        options,
         begun,
         interfaces,
-        order,
-        roles,
-        away: Vec::new(),
+        order: wanted.into_iter().map(|(id, _)| id).collect(),
+        packet_bytes: None,
+        cameras: Vec::new(),
+        away: roles,
         found,
-        told: outside,
+        notes: outside,
         problems: Vec::new(),
     };
-    work.addresses((&answers, &everybody), options.network, operator)?;
-    work.measure(options, backend, operator)
+    work.addresses(&answers, &everybody, operator)?;
+    work.measure(backend, operator)
 }
 
-/// Cameras of one head that only their order tells apart: somebody must be there, or have said so.
+/// Cameras of one head that only their serial numbers distinguish need an operator, or the option `in_order`.
 fn ask_before_pulses(
     options: &Options,
     roles: &[Role],
@@ -133,71 +98,77 @@ fn ask_before_pulses(
     }
     let ids: Vec<&str> = open.iter().map(|role| role.id.as_str()).collect();
     let cameras: Vec<String> = open.iter().map(|role| found[role.camera].to_string()).collect();
-    Err(usage(format!(
-        "which of these is which of {} cannot be known: {}\nsay --camera ID=SERIAL for each, or --in-order for the order of \
-         their serial numbers, or run it on a terminal and cover lenses",
+    Err(Fault::usage(format!(
+        "which of these is which of {} cannot be known: {}\ngive --camera ID=SERIAL for each, or --in-order for the \
+         order of their serial numbers, or run it on a terminal and cover lenses",
         ids.join(", "),
         cameras.join("; ")
     )))
 }
 
-/// Two interfaces in the subnet of a camera: this host sends by one of them, whichever the camera hangs on.
+/// Refuses two interfaces in the subnet of a camera: this host sends by one of them alone, whichever the camera is on.
 fn no_shared_subnet(roles: &[Role], found: &[Found], interfaces: &[Interface]) -> Result<(), Fault> {
     let used = |name: &str| roles.iter().any(|role| found[role.camera].interface.as_deref() == Some(name));
     let shared = shared_subnets(interfaces).into_iter().filter(|(_, one, other)| used(one) || used(other));
     let problems: Vec<String> = shared
         .map(|(subnet, one, other)| {
             format!(
-                "{one} and {other} are both in the subnet of {subnet}, and packets for a camera leave by one of them alone: \
-                 give each port a subnet of its own (`ip address`), then set up again"
+                "{one} and {other} are both in the subnet of {subnet}, and packets for a camera leave by one of them \
+                 alone: give each port a subnet of its own (`ip address`), then set up again"
             )
         })
         .collect();
     match problems.is_empty() {
         true => Ok(()),
-        false => Err(Fault::new(Exit::Failure, problems.join("\n"))),
+        false => Err(Fault::failed(problems.join("\n"))),
     }
 }
 
-struct Work {
+/// A bench that is being set up. [`set_up`] makes it once every camera has a role; it ends with the node file.
+struct Work<'a> {
+    options: &'a Options,
     begun: Begun,
     interfaces: Vec<Interface>,
     /// The cameras of this node, in the rig's order.
     order: Vec<CameraId>,
-    /// Those that can be measured.
-    roles: Vec<Role>,
-    /// Those that are held, or whose packets do not arrive: they have names and addresses, and nothing else is known.
+    /// The packet size of the file, bytes: the largest that arrives from every camera.
+    packet_bytes: Option<u32>,
+    /// Cameras that are open, and have been or will be measured.
+    cameras: Vec<BenchCamera>,
+    /// Cameras that are not open: another program has them, or their packets do not arrive. Of these only name and
+    /// address are known.
     away: Vec<Role>,
     found: Vec<Found>,
-    told: Vec<String>,
+    notes: Vec<String>,
     problems: Vec<String>,
 }
 
-impl Work {
+impl Work<'_> {
     /// Gives cameras in wrong subnets addresses, and has all keep theirs.
     fn addresses(
         &mut self,
-        (answers, everybody): (&[Answer], &[Answer]),
-        network: Option<Subnet>,
+        answers: &[Answer],
+        everybody: &[Answer],
         operator: &mut dyn Operator,
     ) -> Result<(), Fault> {
         let ours: Vec<Answer> =
-            self.roles.iter().filter_map(|role| answers.get(role.camera)).cloned().collect();
-        let moves = addresses::moves(&ours, everybody, &self.interfaces, network)
-            .map_err(|problems| device(&problems))?;
+            self.away.iter().filter_map(|role| answers.get(role.camera)).cloned().collect();
+        let moves = addresses::moves(&ours, everybody, &self.interfaces, self.options.network)
+            .map_err(|problems| Fault::device(problems.join("\n")))?;
         for next in &moves {
             let question = format!(
                 "the camera {} is in a wrong subnet: give it {} on {}?",
                 next.mac, next.to, next.interface
             );
             if !operator.agrees(&question) {
-                return Err(usage(format!(
-                    "{question} say --yes, or set its address with its vendor's program"
+                return Err(Fault::usage(format!(
+                    "{question} agree with --yes, or set its address with its vendor's program"
                 )));
             }
         }
         if !moves.is_empty() {
-            addresses::carry_out(&moves, &self.interfaces).map_err(|problems| device(&problems))?;
+            addresses::carry_out(&moves, &self.interfaces)
+                .map_err(|problems| Fault::device(problems.join("\n")))?;
         }
         for mut answer in ours {
             if let Some(next) = moves.iter().find(|next| next.mac == answer.mac) {
@@ -206,47 +177,23 @@ impl Work {
                 found.for_each(|found| found.place = next.to.address.to_string());
                 operator.tell(&format!("{answer} has its new address"));
             }
-            match addresses::is_kept(&answer) {
-                Ok(true) => {}
+            let note = match addresses::is_kept(&answer) {
+                Ok(true) => continue,
                 Ok(false)
                     if operator.agrees(&format!("{answer} does not keep its address: have it do so?")) =>
                 {
-                    match addresses::keep(&answer, &self.interfaces) {
-                        Ok(()) => operator.tell(&format!("{answer} keeps its address")),
-                        Err(told) => self.told.push(told),
-                    }
+                    let Err(note) = addresses::keep(&answer, &self.interfaces) else {
+                        operator.tell(&format!("{answer} keeps its address"));
+                        continue;
+                    };
+                    note
                 }
-                Ok(false) => self.told.push(format!("{answer} has another address when its power was off")),
-                Err(told) => self.told.push(told),
-            }
+                Ok(false) => format!("{answer} has another address when its power was off"),
+                Err(note) => note,
+            };
+            self.notes.push(note);
         }
         Ok(())
-    }
-
-    fn entry(&self, role: &Role) -> Entry {
-        Entry {
-            id: role.id.clone(),
-            address: self.found[role.camera].place.clone(),
-            trigger_line: None,
-            packet_delay: None,
-            told: None,
-        }
-    }
-
-    /// With what was measured.
-    fn measured(&self, role: &Role, bench: &BenchCamera) -> Entry {
-        Entry {
-            trigger_line: bench.wired.as_ref().and_then(|wired| wired.line.clone()),
-            // Of one that could not be set up it is not known whether it has that.
-            packet_delay: bench.wishes.words.packet_delay.filter(|_| bench.wired.is_some()),
-            ..self.entry(role)
-        }
-    }
-
-    /// A camera that cannot be measured.
-    fn unmeasured(&self, role: &Role) -> Entry {
-        let told = format!("{}, not measured", comment(&self.found[role.camera], role.known, None));
-        Entry { told: Some(told), ..self.entry(role) }
     }
 
     /// Where a camera stands in the rig.
@@ -254,48 +201,64 @@ impl Work {
         self.order.iter().position(|known| known == id).unwrap_or(usize::MAX)
     }
 
-    /// The file as it is known now.
-    fn text(&self, entries: &[Entry], packet_bytes: Option<u32>) -> Result<String, Fault> {
-        let away = self.away.iter().map(|role| self.unmeasured(role));
-        let mut entries: Vec<Entry> = entries.iter().cloned().chain(away).collect();
+    /// A camera's entry in the file; without a `bench` it was not measured.
+    fn entry(&self, role: &Role, bench: Option<&BenchCamera>) -> Entry {
+        let found = &self.found[role.camera];
+        let wired = bench.and_then(|bench| bench.wired.as_ref());
+        let comment = comment(found, role.known, wired.map(|wired| wired.delays));
+        Entry {
+            id: role.id.clone(),
+            address: found.place.clone(),
+            trigger_line: wired.and_then(|wired| wired.line.clone()),
+            // Whether a camera that could not be set up has a packet delay is not known.
+            packet_delay: bench.filter(|_| wired.is_some()).and_then(|bench| bench.wishes.words.packet_delay),
+            comment: if bench.is_some() { comment } else { format!("{comment}, not measured") },
+        }
+    }
+
+    /// The file's text with all that is known at this step.
+    fn text(&self) -> Result<String, Fault> {
+        let measured = self.cameras.iter().map(|bench| self.entry(&bench.role, Some(bench)));
+        let away = self.away.iter().map(|role| self.entry(role, None));
+        let mut entries: Vec<Entry> = measured.chain(away).collect();
         entries.sort_by_key(|entry| self.place(&entry.id));
-        with_cameras(&self.begun.text, &entries, packet_bytes).map_err(usage)
+        with_cameras(&self.begun.text, &entries, self.packet_bytes).map_err(Fault::usage)
+    }
+
+    /// The node's configuration by that text.
+    fn config(&self) -> Result<NodeConfig, Fault> {
+        NodeConfig::from_text(&self.text()?, &self.options.path).map_err(Fault::usage)
     }
 
     /// Opens a camera and tries its packets.
-    fn reach(
+    fn open(
         &self,
         role: &Role,
+        config: &NodeConfig,
         backend: &mut dyn CameraBackend,
-    ) -> Result<(Box<dyn Camera>, Option<u32>), String> {
-        let found = &self.found[role.camera];
+    ) -> Result<BenchCamera, String> {
+        let found = self.found[role.camera].clone();
         let at = self.interfaces.iter().find(|at| found.interface.as_deref() == Some(at.name.as_str()));
-        let mut camera =
-            backend.open(&found.place).map_err(|error| format!("camera {} ({found}): {error}", role.id))?;
-        let size = largest(camera.as_mut(), at.and_then(|at| at.mtu))
-            .map_err(|error| format!("camera {} ({found}): its packets cannot be tried: {error}", role.id))?;
-        Ok((camera, size))
+        let of = |problem: String| format!("camera {} ({found}): {problem}", role.id);
+        let known = config.cameras.iter().find(|known| known.id == role.id);
+        let known = known.ok_or_else(|| of("it is not in the node file".to_owned()))?;
+        let mut camera = backend.open(&found.place).map_err(|error| of(error.to_string()))?;
+        let largest = largest(camera.as_mut(), at.and_then(|at| at.mtu))
+            .map_err(|error| of(format!("its packets cannot be tried: {error}")))?;
+        let wishes = Wishes::of(config, known);
+        Ok(BenchCamera::new(role.clone(), found, camera, wishes, largest))
     }
 
     /// Opens the cameras, finds their lines, names them, and writes the file.
     fn measure(
         mut self,
-        options: &Options,
         backend: &mut dyn CameraBackend,
         operator: &mut dyn Operator,
     ) -> Result<Outcome, Fault> {
-        let path = &options.path;
-        let entries: Vec<Entry> = self.roles.iter().map(|role| self.entry(role)).collect();
-        let read = |text: &str| NodeConfig::from_text(text, path).map_err(usage);
-        read(&self.text(&entries, None)?)?;
-        let (mut opened, mut sizes) = (Vec::new(), Vec::new());
-        for role in std::mem::take(&mut self.roles) {
-            match self.reach(&role, backend) {
-                Ok((camera, size)) => {
-                    opened.push(camera);
-                    sizes.push(size);
-                    self.roles.push(role);
-                }
+        let config = self.config()?;
+        for role in std::mem::take(&mut self.away) {
+            match self.open(&role, &config, backend) {
+                Ok(bench) => self.cameras.push(bench),
                 // The others are measured all the same.
                 Err(problem) => {
                     operator.tell(&problem);
@@ -304,51 +267,43 @@ impl Work {
                 }
             }
         }
-        let packet_bytes = sizes.iter().flatten().min().copied();
-        if self.roles.is_empty() {
-            return self.finish(path, packet_bytes, &mut [], Ok(Vec::new()));
-        }
-        let entries: Vec<Entry> = self.roles.iter().map(|role| self.entry(role)).collect();
-        let config = read(&self.text(&entries, packet_bytes)?)?;
-        let delays = self.packet_delays(&config);
-        let mut cameras = Vec::new();
-        for (((camera, role), delay), largest) in opened.into_iter().zip(&self.roles).zip(delays).zip(sizes) {
-            let Some(known) = config.cameras.iter().find(|known| known.id == role.id) else { continue };
-            let mut wishes = Wishes::of(&config, known);
-            if wishes.words.packet_delay.is_none() && !wishes.left_to_settings("packet_delay_us") {
-                wishes.words.packet_delay = delay;
+        self.packet_bytes = self.cameras.iter().filter_map(|bench| bench.largest).min();
+        if !self.cameras.is_empty() {
+            let config = self.config()?;
+            let delays = self.packet_delays(&config);
+            for (bench, delay) in self.cameras.iter_mut().zip(delays) {
+                bench.configure(&config);
+                if bench.wishes.words.packet_delay.is_none()
+                    && !bench.wishes.left_to_settings("packet_delay_us")
+                {
+                    bench.wishes.words.packet_delay = delay;
+                }
             }
-            let found = self.found[role.camera].clone();
-            let (wired, problems, told) = (None, Vec::new(), Vec::new());
-            cameras.push(BenchCamera { found, camera, wishes, largest, wired, problems, told });
-        }
-        let hsu = TriggerUnit::of(&config).connect(&config.node, &HsuTimeouts::default());
-        match hsu {
-            Ok(hsu) => {
-                let unit = Unit {
-                    hsu: &hsu,
-                    node: &config.node,
-                    heads: config.rig.heads.len(),
-                    reception: Reception { packet_bytes: config.packet_bytes, socket: config.socket },
-                };
-                let pulsed = find(&unit, &mut cameras, |line| operator.tell(line))
-                    .map_err(|error| error.to_string())
-                    .and_then(|()| self.names(options, &unit, &mut cameras, operator));
-                let frames = match pulsed {
-                    Ok(()) => self.at_rate(path, &unit, packet_bytes, &mut cameras),
-                    Err(error) => Err(error),
-                };
-                self.finish(path, packet_bytes, &mut cameras, frames)
+            if let Err(problem) = self.pulses(&config, operator) {
+                self.problems.push(problem);
             }
-            Err(error) => self.finish(path, packet_bytes, &mut cameras, Err(error.to_string())),
         }
+        self.finish()
     }
 
-    /// The packet delay that each camera's link needs, and what its link does not carry.
+    /// Finds out by pulses of the HSU which trigger line and which head each camera is wired to, and how it keeps the
+    /// rig's rate.
+    fn pulses(&mut self, config: &NodeConfig, operator: &mut dyn Operator) -> Result<(), String> {
+        let hsu = TriggerUnit::of(config)
+            .connect(&config.node, &HsuTimeouts::default())
+            .map_err(|error| error.to_string())?;
+        let unit = Unit { hsu: &hsu, config };
+        find(&unit, &mut self.cameras, |line| operator.tell(line)).map_err(|error| error.to_string())?;
+        self.names(&unit, operator)?;
+        self.at_rate(&unit)
+    }
+
+    /// The packet delay that each camera's link needs; a link that is too slow for its cameras is a problem.
     fn packet_delays(&mut self, config: &NodeConfig) -> Vec<Option<PacketDelay>> {
         let interface = |role: &Role| self.found[role.camera].interface.clone();
+        let open = self.cameras.iter().map(|bench| &bench.role);
         let mut shared: BTreeMap<String, usize> = BTreeMap::new();
-        for name in self.roles.iter().chain(&self.away).filter_map(interface) {
+        for name in open.clone().chain(&self.away).filter_map(interface) {
             *shared.entry(name).or_default() += 1;
         }
         let burst = |role: &Role| {
@@ -363,14 +318,15 @@ impl Work {
             let speed = self.interfaces.iter().find(|at| at.name == name)?.speed_mbit;
             Some((name, burst, speed))
         };
-        let bursts: Vec<_> = self.roles.iter().map(burst).collect();
+        let bursts: Vec<_> = open.map(burst).collect();
         for (name, cameras) in &shared {
             let Some((_, burst, Some(speed))) = bursts.iter().flatten().find(|(at, ..)| at == name) else {
                 continue;
             };
             if burst.bits_per_s() > *speed as f64 * 1e6 {
                 self.problems.push(format!(
-                    "{name} carries {speed} Mbit/s, and its {cameras} cameras need {:.0}: use faster ports, or more of them",
+                    "{name} carries {speed} Mbit/s, and its {cameras} cameras need {:.0}: use faster ports, or more \
+                     of them",
                     burst.bits_per_s() / 1e6
                 ));
             }
@@ -378,211 +334,142 @@ impl Work {
         bursts.into_iter().map(|found| found.and_then(|(_, burst, speed)| burst.delay(speed))).collect()
     }
 
-    /// Puts cameras on the heads whose pulses they answered, and tells those of one head apart.
-    fn names(
-        &mut self,
-        options: &Options,
-        unit: &Unit<'_>,
-        cameras: &mut Vec<BenchCamera>,
-        operator: &mut dyn Operator,
-    ) -> Result<(), String> {
-        let heads: Vec<Option<usize>> =
-            cameras.iter().map(|bench| bench.wired.as_ref().map(|wired| wired.delays.head)).collect();
-        let before: Vec<usize> = self.roles.iter().map(|role| role.camera).collect();
-        // One that is away may have any name that is left.
-        let away: Vec<usize> = self.away.iter().map(|role| role.camera).collect();
-        let here = self.roles.iter().cloned().zip(heads);
-        let mut all: Vec<_> = here.chain(self.away.iter().map(|role| (role.clone(), None))).collect();
+    /// Puts cameras on the heads whose pulses they answered, and has lenses covered where two cameras of one head
+    /// cannot be distinguished otherwise.
+    fn names(&mut self, unit: &Unit<'_>, operator: &mut dyn Operator) -> Result<(), String> {
+        let head = |bench: &BenchCamera| bench.wired.as_ref().map(|wired| wired.delays.head);
+        let open = self.cameras.iter().map(|bench| (bench.role.clone(), head(bench)));
+        // A camera that is not open may have any name that is left.
+        let mut all: Vec<_> = open.chain(self.away.iter().map(|role| (role.clone(), None))).collect();
         all.sort_by_key(|(role, _)| self.place(&role.id));
         let (roles, heads): (Vec<Role>, Vec<Option<usize>>) = all.into_iter().unzip();
         match by_heads(&roles, &heads) {
             Ok(roles) => {
-                (self.away, self.roles) = roles.into_iter().partition(|role| away.contains(&role.camera));
+                let open = self.cameras.iter_mut().map(|bench| &mut bench.role);
+                for role in open.chain(&mut self.away) {
+                    let new = roles.iter().find(|new| new.camera == role.camera);
+                    new.into_iter().for_each(|new| role.clone_from(new));
+                }
+                let order = &self.order;
+                let place = |role: &Role| order.iter().position(|known| *known == role.id);
+                self.cameras.sort_by_key(|bench| place(&bench.role));
             }
             Err(problems) => self.problems.extend(problems),
         }
-        // Cameras stand in the order of their roles.
-        let order: Vec<usize> = self
-            .roles
-            .iter()
-            .filter_map(|role| before.iter().position(|camera| *camera == role.camera))
-            .collect();
-        reorder(cameras, &order);
-        for place in 0..self.roles.len() {
-            let head = self.roles[place].head;
+        for place in 0..self.cameras.len() {
+            let head = self.cameras[place].role.head;
             let open = |role: &Role| role.known == Known::InOrder && role.head == head;
-            let which: Vec<usize> = (0..self.roles.len()).filter(|i| open(&self.roles[*i])).collect();
+            let which: Vec<usize> =
+                (0..self.cameras.len()).filter(|i| open(&self.cameras[*i].role)).collect();
             match which.as_slice() {
                 _ if !which.contains(&place) => continue,
-                // Nobody knows which of the two is away.
+                // Either of the two may be the one that is not open.
                 [_] if self.away.iter().any(open) => continue,
-                [_] if cameras[place].wired.is_some() => {
-                    self.roles[place].known = Known::ByPulse;
+                [_] if self.cameras[place].wired.is_some() => {
+                    self.cameras[place].role.known = Known::ByPulse;
                     continue;
                 }
                 _ => {}
             }
-            // A camera that answers no pulse shows no picture; what is wrong with it stands in its problems.
-            let dumb = which.iter().any(|place| cameras[*place].wired.is_none());
-            if dumb || options.in_order || !operator.is_there() {
+            // A camera that answers no pulse shows no picture; its problems state why.
+            let dumb = which.iter().any(|place| self.cameras[*place].wired.is_none());
+            if dumb || self.options.in_order || !operator.is_there() {
                 continue;
             }
-            let at = self.cover(place, &which, unit, cameras, operator)?;
-            self.roles[place].known = Known::Covered;
+            let at = self.cover(place, &which, unit, operator)?;
             if at != place {
-                let (one, other) = (self.roles[place].camera, self.roles[at].camera);
-                (self.roles[place].camera, self.roles[at].camera) = (other, one);
-                cameras.swap(place, at);
+                let other = self.cameras[at].role.id.clone();
+                self.cameras[at].role.id = std::mem::replace(&mut self.cameras[place].role.id, other);
+                self.cameras.swap(place, at);
             }
+            self.cameras[place].role.known = Known::Covered;
         }
         Ok(())
     }
 
-    /// Which of several cameras is the one whose lens somebody covers.
+    /// Has the operator cover a lens, and finds which of several cameras it belongs to.
     fn cover(
-        &self,
+        &mut self,
         place: usize,
         which: &[usize],
         unit: &Unit<'_>,
-        cameras: &mut [BenchCamera],
         operator: &mut dyn Operator,
     ) -> Result<usize, String> {
-        let id = &self.roles[place].id;
-        let text = |error: super::pulses::TrainError| error.to_string();
+        let id = self.cameras[place].role.id.clone();
         let mut brightest = vec![0.0; which.len()];
-        let mut looks = LOOKS;
-        let mut asked = false;
+        let (mut looks, mut has_begun) = (LOOKS, false);
         while looks > 0 {
-            match covered(&mut brightest, &unit.look(cameras, which).map_err(text)?) {
-                Look::Covered(found) if asked => return Ok(which[found]),
+            let seen = unit.look(&mut self.cameras, which).map_err(|error| error.to_string())?;
+            match covered(&mut brightest, &seen) {
+                Look::Covered(found) if has_begun => return Ok(which[found]),
                 Look::NoPicture(place) => {
-                    let found = &cameras[which[place]].found;
+                    let found = &self.cameras[which[place]].found;
                     operator.tell(&format!("{found} sent no picture at the pulses; they are repeated"));
                     looks -= 1;
                     continue;
                 }
-                _ if asked => {
+                _ if has_begun => {
                     operator.tell("no picture became dark: cover the lens wholly, with the light on");
                 }
                 _ => {}
             }
-            asked = true;
+            has_begun = true;
             if !operator.does(&format!("cover the lens of {id}")) {
                 return Err(format!("{id} was not shown"));
             }
         }
         Err(format!(
-            "{id} cannot be told from its neighbour: {LOOKS} times a camera sent no picture at the pulses"
+            "{id} cannot be distinguished from its neighbour: {LOOKS} times a camera sent no picture at the pulses"
         ))
     }
 
-    /// Frames of each camera at the rig's rate, set up as a node will do it with the file that is written.
-    fn at_rate(
-        &mut self,
-        path: &Path,
-        unit: &Unit<'_>,
-        packet_bytes: Option<u32>,
-        cameras: &mut [BenchCamera],
-    ) -> Result<Vec<Option<(usize, u32)>>, String> {
-        let pairs = self.roles.iter().zip(cameras.iter());
-        let entries: Vec<Entry> = pairs.map(|(role, bench)| self.measured(role, bench)).collect();
-        let text = self.text(&entries, packet_bytes).map_err(|fault| fault.message)?;
-        let config = NodeConfig::from_text(&text, path).map_err(|error| error.to_string())?;
-        for (role, bench) in self.roles.iter().zip(cameras.iter_mut()) {
-            if let Some(known) = config.cameras.iter().find(|known| known.id == role.id) {
-                bench.wishes = Wishes::of(&config, known);
-            }
-        }
+    /// Counts frames of each camera at the rig's rate, set up as a node will do it with the file that is written.
+    fn at_rate(&mut self, unit: &Unit<'_>) -> Result<(), String> {
+        let config = self.config().map_err(|fault| fault.message)?;
+        self.cameras.iter_mut().for_each(|bench| bench.configure(&config));
         let count = config.rig.warm_up_triggers + TRIGGERS;
-        let timing = HsuTiming::from_rig(&config.rig);
-        let frames = unit.at_the_rigs_rate(&timing, count, cameras).map_err(|error| error.to_string())?;
-        for (bench, frames) in cameras.iter_mut().zip(&frames) {
-            if let Some(frames) = frames
-                && *frames < TRIGGERS as usize
+        unit.at_the_rigs_rate(&HsuTiming::from_rig(&config.rig), count, &mut self.cameras)
+            .map_err(|error| error.to_string())?;
+        for bench in &mut self.cameras {
+            if let Some((frames, _)) = bench.frames_at_rate
+                && frames < TRIGGERS as usize
             {
                 bench.problems.push(format!(
-                    "{frames} frames at {count} triggers of {} Hz, expected {TRIGGERS} or more: exposure and readout may take \
-                     longer than a period, or overlap is off",
+                    "{frames} frames at {count} triggers of {} Hz, expected {TRIGGERS} or more: exposure and readout \
+                     may take longer than a period, or overlap is off",
                     config.rig.trigger_rate_hz
                 ));
             }
         }
-        Ok(frames.into_iter().map(|frames| Some((frames?, count))).collect())
+        Ok(())
     }
 
-    /// Writes pictures and file.
-    fn finish(
-        mut self,
-        path: &Path,
-        packet_bytes: Option<u32>,
-        cameras: &mut [BenchCamera],
-        frames: Result<Vec<Option<(usize, u32)>>, String>,
-    ) -> Result<Outcome, Fault> {
-        let frames = frames.unwrap_or_else(|error| {
-            self.problems.push(error);
-            vec![None; cameras.len()]
-        });
-        let (mut entries, mut named) = (Vec::new(), Vec::new());
-        for (place, (role, bench)) in self.roles.iter().zip(cameras.iter_mut()).enumerate() {
-            let wired = bench.wired.as_ref();
-            let delays = wired.map(|wired| wired.delays);
-            let picture =
-                wired.and_then(|wired| picture(path, role, wired.contract.size, &wired.picture).transpose());
-            let picture = match picture.transpose() {
-                Ok(picture) => picture,
-                Err(problem) => {
-                    bench.told.push(problem);
-                    None
-                }
-            };
-            let told = Some(comment(&bench.found, role.known, delays));
-            entries.push(Entry { told, ..self.measured(role, bench) });
-            named.push(NamedCamera {
-                id: role.id.clone(),
-                device: bench.found.clone(),
-                named: role.known,
-                trigger_line: wired.and_then(|wired| wired.line.clone()),
-                head: delays.map(|delays| delays.head),
-                stamp_us: delays.and_then(|delays| delays.stamp_us),
-                arrival_us: delays.map(|delays| delays.arrival_us),
-                largest_packet_bytes: bench.largest,
-                frames_at_rate: frames.get(place).copied().flatten(),
-                picture,
-            });
-            let of = |text: &String| format!("camera {}: {text}", role.id);
-            self.problems.extend(bench.problems.iter().map(of));
-            self.told.extend(bench.told.iter().map(of));
-            if role.known == Known::InOrder {
-                let text = "its name is that of the order of serial numbers: look at its picture".to_owned();
-                self.told.push(of(&text));
+    /// Writes the pictures and the node file.
+    fn finish(mut self) -> Result<Outcome, Fault> {
+        let path = &self.options.path;
+        let mut named = Vec::new();
+        for bench in &self.cameras {
+            let of = |text: &str| format!("camera {}: {text}", bench.role.id);
+            self.problems.extend(bench.problems.iter().map(|problem| of(problem)));
+            self.notes.extend(bench.notes.iter().map(|note| of(note)));
+            let mut camera = NamedCamera::of(&bench.role, bench.found.clone(), Some(bench));
+            match bench.write_picture(path) {
+                Ok(picture) => camera.picture = picture,
+                Err(problem) => self.notes.push(of(&problem)),
             }
+            if bench.role.known == Known::InOrder {
+                self.notes.push(of("its name is that of the order of serial numbers: look at its picture"));
+            }
+            named.push(camera);
         }
-        named.extend(self.away.iter().map(|role| NamedCamera {
-            id: role.id.clone(),
-            device: self.found[role.camera].clone(),
-            named: role.known,
-            trigger_line: None,
-            head: None,
-            stamp_us: None,
-            arrival_us: None,
-            largest_packet_bytes: None,
-            frames_at_rate: None,
-            picture: None,
-        }));
+        named.extend(
+            self.away.iter().map(|role| NamedCamera::of(role, self.found[role.camera].clone(), None)),
+        );
         named.sort_by_key(|camera| self.place(&camera.id));
-        let text = self.text(&entries, packet_bytes)?;
-        NodeConfig::from_text(&text, path).map_err(usage)?;
+        self.config()?;
+        let text = self.text()?;
         write_whole(path, |file| file.write_all(text.as_bytes()))
-            .map_err(|e| Fault::new(Exit::Failure, format!("{}: cannot be written: {e}", path.display())))?;
-        Ok(Outcome { file: path.to_owned(), cameras: named, problems: self.problems, told: self.told })
+            .map_err(|e| Fault::at(path, format!("cannot be written: {e}")))?;
+        Ok(Outcome { file: path.to_owned(), cameras: named, problems: self.problems, notes: self.notes })
     }
-}
-
-/// Puts cameras into another order: `order` has the old place of each.
-fn reorder(cameras: &mut Vec<BenchCamera>, order: &[usize]) {
-    if order.len() != cameras.len() {
-        return;
-    }
-    let mut all: Vec<Option<BenchCamera>> = cameras.drain(..).map(Some).collect();
-    cameras.extend(order.iter().filter_map(|place| all[*place].take()));
 }

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who answers on the network, and which of them are meant.
+//! The cameras that answer on the network, and which of them belong to the bench.
 
 use super::addresses::PATIENCE;
 use super::found::Found;
-use super::run::{Operator, Options};
+use super::options::{Operator, Options};
 use crate::network::{Answer, Interface, Subnet, discover};
 
-/// Everybody who answers.
+/// All cameras that answer a broadcast on these interfaces.
 pub fn who_answers(interfaces: &[Interface], operator: &mut dyn Operator) -> Vec<Answer> {
     let names: Vec<String> = interfaces
         .iter()
@@ -15,11 +15,11 @@ pub fn who_answers(interfaces: &[Interface], operator: &mut dyn Operator) -> Vec
             format!("{} ({})", at.name, subnets.join(", "))
         })
         .collect();
-    operator.tell(&format!("who is there: asking on {}", names.join(", ")));
+    operator.tell(&format!("discovery on {}", names.join(", ")));
     discover(interfaces, PATIENCE)
 }
 
-/// Those in the wanted network, and those that were named.
+/// The cameras in the network of the option --network, and those named by --camera.
 pub fn those_meant(options: &Options, everybody: &[Answer]) -> Vec<Answer> {
     let is_meant = |answer: &&Answer| {
         let found = Found::of_network(answer);
@@ -29,7 +29,7 @@ pub fn those_meant(options: &Options, everybody: &[Answer]) -> Vec<Answer> {
     everybody.iter().filter(is_meant).cloned().collect()
 }
 
-/// Cameras that nobody meant and nobody can reach either: one that belongs to this bench may be among them.
+/// Remarks on cameras that neither option includes and this host cannot reach: one of them may belong to this bench.
 pub fn left_out(
     meant: &[Answer],
     everybody: &[Answer],
@@ -45,8 +45,8 @@ pub fn left_out(
         .filter(|answer| !meant.contains(answer) && !is_reached(answer))
         .map(|answer| {
             format!(
-                "{answer} answers on {}, in a wrong subnet and outside --network {network}: where it belongs to this bench, \
-                 say --camera ID={}",
+                "{answer} answers on {}, in a wrong subnet and outside --network {network}: where it belongs to this \
+                 bench, give --camera ID={}",
                 answer.interface, answer.mac
             )
         })
@@ -59,7 +59,7 @@ mod tests {
     use crate::network::{Answer, Interface, Mac};
 
     #[test]
-    fn a_camera_that_nobody_reaches_and_nobody_meant_is_named() {
+    fn a_camera_out_of_reach_and_outside_the_options_is_named() {
         let subnets = vec!["192.168.10.1/24".parse().expect("a network")];
         let at = Interface { name: "cam0".to_owned(), mtu: None, up: true, speed_mbit: None, subnets };
         let answer = |last, address: [u8; 4]| Answer {
@@ -74,9 +74,9 @@ mod tests {
         // One of the bench, one of another bench on the same wire, one without an address of its own.
         let all = [answer(1, [192, 168, 10, 2]), answer(2, [192, 168, 10, 200]), answer(3, [169, 254, 1, 1])];
         let network = "192.168.10.0/28".parse().expect("a network");
-        let told = left_out(&all[..1], &all, std::slice::from_ref(&at), Some(network));
-        assert_eq!(told.len(), 1, "{told:?}");
-        assert!(told[0].contains("S3 at 169.254.1.1") && told[0].contains("--camera"), "{told:?}");
+        let notes = left_out(&all[..1], &all, std::slice::from_ref(&at), Some(network));
+        assert_eq!(notes.len(), 1, "{notes:?}");
+        assert!(notes[0].contains("S3 at 169.254.1.1") && notes[0].contains("--camera"), "{notes:?}");
         assert!(left_out(&all[..1], &all, &[at], None).is_empty());
     }
 }

@@ -4,6 +4,7 @@
 use super::layout::{VERDICT_METADATA, segment_number};
 use super::scan::metadata_by_index;
 use super::segment_file::SegmentFile;
+use crate::base::Fault;
 use crate::base::ids::NodeId;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -17,6 +18,16 @@ pub enum ReadError {
     /// There is one that cannot be read, or that is no recording of this program.
     #[error("{0}")]
     Unreadable(String),
+}
+
+/// A path without a recording is a mistake of usage, one that cannot be read is corrupt data.
+impl From<ReadError> for Fault {
+    fn from(error: ReadError) -> Self {
+        match error {
+            ReadError::Absent(_) => Self::usage(error),
+            ReadError::Unreadable(_) => Self::corrupt(error),
+        }
+    }
 }
 
 /// The directory of a node's recording inside a session's directory.

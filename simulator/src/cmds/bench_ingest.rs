@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use train::{End, Laboratory, Train, remove};
 
-/// Number of cameras of the node.
+/// Number of cameras of one node.
 const CAMERAS: usize = 4;
 /// Pixels of one frame of the rig, as decimal billions want it.
 const FRAME_BYTES: f64 = 1920.0 * 1200.0;
@@ -39,10 +39,10 @@ pub struct Args {
     /// The rig, of which node a's cameras take part.
     #[arg(long, default_value = "config/rig.toml")]
     rig: PathBuf,
-    /// Trigger rate of each train, Hz.
+    /// The trigger rate, triggers per second.
     #[arg(long, default_value_t = 120.0)]
     rate_hz: f64,
-    /// Length of each train, seconds.
+    /// Duration of each train, seconds.
     #[arg(long, default_value_t = 20.0)]
     duration: f64,
     /// Only one train of this many seconds, whose finished segments are dropped as it goes.
@@ -76,7 +76,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         Some(seconds) => long(args, seconds, &mut summary),
         None => all(args, &mut summary),
     };
-    // Gigabytes, which nobody looks at again.
+    // Gigabytes that are not needed any more.
     remove(&args.out.join("sessions"))?;
     // What was measured before a failure stays readable.
     let text = format!("{:#}\n", Value::Object(summary));

@@ -24,17 +24,17 @@ pub struct Args {
     /// Address of the first camera; the others follow.
     #[arg(long, default_value = "127.0.7.11")]
     first: Ipv4Addr,
-    /// Number of the sensor's columns.
+    /// Number of columns of the sensor.
     #[arg(long, default_value_t = 1920)]
     width: usize,
-    /// Number of the sensor's rows.
+    /// Number of rows of the sensor.
     #[arg(long, default_value_t = 1200)]
     height: usize,
     /// Edges per second on all trigger inputs; 0 for none.
     #[arg(long, default_value_t = 0.0)]
     trigger_hz: f64,
-    /// Be like the camera of this table: a JSON file of the features that its GenICam description shows. Several are taken
-    /// in turn.
+    /// Be like the camera of this table: a JSON file of the features that its GenICam description shows. Several are
+    /// taken in turn.
     #[arg(long, value_name = "FILE")]
     like: Vec<std::path::PathBuf>,
     /// The entry of TriggerSource that the trigger input is connected to; by default Line0, Line1 or what there is.
@@ -49,13 +49,13 @@ pub struct Args {
     /// A habit, as a line of a [[habit]] table: 'stamp = "exposure_end"'.
     #[arg(long, value_name = "LINE")]
     habit: Vec<String>,
-    /// Lose one packet of so many, to see resend requests at work.
+    /// Lose one packet of this number, to see resend requests at work.
     #[arg(long)]
     lose_one_in: Option<std::num::NonZeroU64>,
-    /// Stop after so many seconds.
+    /// Stop after this number of seconds.
     #[arg(long)]
     duration: Option<f64>,
-    /// Print the cameras' counters every second.
+    /// Print the counters of all cameras every second.
     #[arg(long)]
     verbose: bool,
 }
@@ -130,7 +130,7 @@ fn make(args: &Args, path: &std::path::Path) -> Result<Make, String> {
 }
 
 fn habits(args: &Args) -> Result<Habits, Failure> {
-    // These are read by others from a file, and by nobody from here.
+    // These are read by other programs from a file, and are not used here.
     let own = |line: &&String| {
         let key = line.split('=').next().unwrap_or("").trim();
         ["like", "wired_to", "left_over", "without"].contains(&key)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `fourdbody-sim check-accounting`: do recordings say what was injected?
+//! `fourdbody-sim check-accounting`: do recordings account for what was injected?
 
 use crate::faults::{Shown, check_with_disks, read_disk_truth, read_truth};
 use fourdbody::base::Exit;

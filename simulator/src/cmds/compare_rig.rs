@@ -17,10 +17,10 @@ use std::path::{Path, PathBuf};
     after_help = "Example:\n  fourdbody-sim compare-rig --found calibration.json --truth target/frames/calibration.json --aligned aligned.json"
 )]
 pub struct Args {
-    /// Calibration file to compare with the truth.
+    /// The calibration that is compared with the truth.
     #[arg(long, value_name = "FILE")]
     found: PathBuf,
-    /// Calibration file with the true geometry.
+    /// The calibration file with the true geometry.
     #[arg(long, value_name = "FILE")]
     truth: PathBuf,
     /// Where to write the calibration in the true world.

@@ -13,8 +13,8 @@ use fourdbody::geometry::{Device, Lens, Pose, look_at};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// The renderer counts rows of the panel from the upper edge of the first one, not from its middle (measured: its dashes lie
-/// 0.50 rows before those of `Pattern::light`).
+/// The renderer counts rows of the panel from the upper edge of the first one, not from its middle (measured: its
+/// dashes lie 0.50 rows before those of `Pattern::light`).
 const ROWS: PanelRows = PanelRows { excess: [-0.5, 0.0, 0.0], rms_px: 0.0 };
 
 /// Turn a scene rig (JSON: `x_device = R x_world + t`) into `rig.toml` (nominal: rounded as a drawing would
@@ -22,7 +22,7 @@ const ROWS: PanelRows = PanelRows { excess: [-0.5, 0.0, 0.0], rms_px: 0.0 };
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  fourdbody-sim convert-rig --scene-rig rig.json --out target/scene")]
 pub struct Args {
-    /// Rig file in JSON, as others' renderer writes it.
+    /// The rig of the scene generator, JSON.
     #[arg(long)]
     scene_rig: PathBuf,
     /// Where `rig.toml` and `calibration.json` go.

@@ -18,16 +18,16 @@ pub struct Args {
     /// A directory that `render` wrote.
     #[arg(long)]
     frames: PathBuf,
-    /// Folder to write the images to.
+    /// The directory in which the images are written.
     #[arg(long)]
     out: PathBuf,
     /// Only these instants: A..B, B not included.
     #[arg(long)]
     instants: Option<String>,
-    /// Standard deviation of noise that is added to every pixel, DN: how much does a result hang on it?
+    /// Standard deviation of noise that is added to every pixel, DN: how much does a result depend on it?
     #[arg(long, default_value_t = 0.0)]
     noise_dn: f32,
-    /// Seed of the noise that is added.
+    /// The seed of the random noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 
 /// Gather figures from JSON reports into one flat object, and print them as a table.
 ///
-/// A figure is KEY=FILE:POINTER, or KEY=FILE:POINTER=PAPER with the paper's value to print beside it; POINTER is an RFC 6901
-/// pointer to a number, such as /rms_mm or /heads/0/1/rms_mm.
+/// A figure is KEY=FILE:POINTER, or KEY=FILE:POINTER=PAPER with the paper's value to print beside it; POINTER is an RFC
+/// 6901 pointer to a number, such as /rms_mm or /heads/0/1/rms_mm.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example:\n  fourdbody-sim gather --scenario config/scenarios/board.toml --commit HASH --out summary.json \\\n      --figure plane_rms_mm_0rpm=plane-0.json:/rms_mm=0.17 --figure spacing_cloud_mm=spacing.json:/spacing_cloud_mm=1.5"
@@ -25,7 +25,7 @@ pub struct Args {
     /// A figure and where it is.
     #[arg(long = "figure", value_name = "KEY=FILE:POINTER[=PAPER]", required = true)]
     figures: Vec<String>,
-    /// Summary file to write, JSON.
+    /// The JSON file to write, with all figures.
     #[arg(long)]
     out: PathBuf,
 }

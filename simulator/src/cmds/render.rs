@@ -17,10 +17,10 @@ use std::time::{Duration, Instant};
     after_help = "Example:\n  fourdbody-sim render --scenario config/scenarios/demo.toml --out target/demo/frames"
 )]
 pub struct Args {
-    /// Scenario file to render, TOML.
+    /// The scenario file to render, TOML.
     #[arg(long)]
     scenario: PathBuf,
-    /// Folder to write the frames to.
+    /// The directory in which the frames are written.
     #[arg(long)]
     out: PathBuf,
     /// A mesh (OBJ, PLY) or a directory of them in place of the scenario's subject.

@@ -26,7 +26,7 @@ use std::time::Duration;
     after_help = "Example:\n  fourdbody-sim run --frames target/frames --run-dir target/lab --rate-hz 20\n  fourdbody node --config target/lab/node-a.toml"
 )]
 pub struct Args {
-    /// Folder that `fourdbody-sim render` has written.
+    /// The directory that `fourdbody-sim render` wrote.
     #[arg(long, value_name = "DIR", required_unless_present = "rig")]
     frames: Option<PathBuf>,
     /// A rig file, for test images instead of rendered frames.
@@ -68,9 +68,9 @@ pub struct Args {
     /// Size of the nodes' segments, MiB.
     #[arg(long, value_name = "MIB")]
     segment_mib: Option<u64>,
-    /// Faults to inject: a TOML file with tables [faults] (cameras), [disk] (the nodes' disks; needs FUSE), or [[habit]]
-    /// (what single cameras do differently from others, and which make they are like).
-    /// What was injected goes to faults.jsonl in the run directory.
+    /// Faults to inject: a TOML file with tables [faults] (cameras), [disk] (the nodes' disks; needs FUSE), or
+    /// [[habit]] (what single cameras do differently from others, and which make they are like). What was injected goes
+    /// to faults.jsonl in the run directory.
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
     /// Seed of the faults, instead of the file's.
@@ -79,7 +79,7 @@ pub struct Args {
     /// Bytes of the cameras' packets.
     #[arg(long, value_name = "BYTES", default_value_t = 9000, value_parser = clap::value_parser!(u32).range(576..=65532))]
     packet_bytes: u32,
-    /// Stop after so many seconds.
+    /// Stop after this number of seconds.
     #[arg(long, value_name = "S")]
     duration: Option<f64>,
 }
@@ -174,7 +174,7 @@ impl EndSignals {
                 tv_sec: libc::time_t::try_from(left.as_secs()).unwrap_or(3600),
                 tv_nsec: libc::c_long::from(left.subsec_nanos()),
             };
-            // SAFETY: both pointers are valid for the duration of the call; no information on the signal is asked for.
+            // SAFETY: both pointers are valid for the duration of the call; no information on the signal is requested.
             let signal = unsafe { libc::sigtimedwait(&self.0, std::ptr::null_mut(), &time) };
             if signal > 0 || (end.is_some() && left.is_zero()) {
                 return;
@@ -214,7 +214,7 @@ fn makes(args: &Args) -> Result<BTreeMap<String, Arc<Make>>, Failure> {
     Make::parse_all(&text, path.parent().unwrap_or(Path::new("."))).map_err(|e| wrong(&e))
 }
 
-/// The rig file's text, with another trigger rate or with the cameras of one node only, where asked for.
+/// The rig file's text, with another trigger rate or with the cameras of one node only, on request.
 fn rig_text(path: &Path, args: &Args) -> Result<String, Failure> {
     let wrong = |e: &dyn std::fmt::Display| Failure::new(Exit::Usage, format!("{}: {e}", path.display()));
     let text = std::fs::read_to_string(path).map_err(|e| wrong(&e))?;
@@ -249,7 +249,7 @@ fn keep_node(rig: &mut toml::Table, node: &str) {
 /// What each camera shows, in the rig's order.
 fn images(args: &Args, rig_path: &Path, rig_text: &str) -> Result<Vec<Arc<dyn ImageSource>>, Failure> {
     let rig = match &args.node {
-        // A rig of its own, which is nowhere in a file; its problems are found and told when it is started.
+        // A rig of its own, which is nowhere in a file; its problems are found and reported when it is started.
         Some(_) => rig_text.parse().ok().and_then(|table| Rig::from_table(&table).ok()),
         None => Some(Rig::load(rig_path)?),
     };

@@ -15,7 +15,7 @@ pub struct Args {
     /// The scenario, for its seed.
     #[arg(long)]
     scenario: PathBuf,
-    /// Trigger rate of the session, Hz.
+    /// The trigger rate, triggers per second.
     #[arg(long)]
     rate_hz: f64,
     /// What `fourdbody capture --json` printed.
@@ -30,7 +30,7 @@ pub struct Args {
     /// Full hash of the commit.
     #[arg(long)]
     commit: String,
-    /// Summary file to write, JSON.
+    /// The JSON file to write, with all figures.
     #[arg(long)]
     out: PathBuf,
 }

@@ -6,7 +6,7 @@ use crate::random::{hash, share};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-/// Files take room in whole blocks of so many bytes.
+/// Bytes of a block: files take room in whole blocks.
 pub const BLOCK: u64 = 4096;
 
 /// What becomes of a write.
@@ -20,7 +20,7 @@ pub struct WriteOutcome {
     pub errno: Option<i32>,
     /// It was cut short or refused for want of room.
     pub full: bool,
-    /// The answer takes so long.
+    /// The time that the answer takes.
     pub delay: Duration,
     /// Nothing of this file was delayed before.
     pub first_delay: bool,
@@ -28,7 +28,7 @@ pub struct WriteOutcome {
     pub limited: bool,
 }
 
-/// The state of one simulated disk.
+/// One simulated disk: its room, its speed and its faults.
 #[derive(Debug)]
 pub struct Medium {
     drawn: Drawn,
@@ -37,7 +37,7 @@ pub struct Medium {
     used: u64,
     writes: u64,
     syncs: u64,
-    /// Number of bytes written so far.
+    /// Bytes that all files take together.
     bytes: u64,
     busy_until: Option<Instant>,
     slowed: BTreeSet<u64>,
@@ -46,6 +46,7 @@ pub struct Medium {
 }
 
 impl Medium {
+    /// An empty disk with these faults.
     pub fn new(drawn: Drawn) -> Self {
         Self {
             drawn,
@@ -74,7 +75,7 @@ impl Medium {
         self.gone
     }
 
-    /// Bytes that it says are there in all, and that are free; `None` where nothing bounds it.
+    /// Bytes that it reports in all, and that are free; `None` where nothing bounds it.
     pub fn room(&self) -> Option<(u64, u64)> {
         let all = self.drawn.announced.or(self.drawn.capacity)?;
         Some((all, all.saturating_sub(self.used)))
@@ -218,7 +219,7 @@ impl Medium {
     }
 }
 
-/// Whether a random fault happens at one call.
+/// Whether a fault happens at one call, by chance.
 fn happens(chance: u64, fault: u64, call: u64, probability: f64) -> bool {
     share(hash(chance, &[fault, call, 2])) < probability
 }

@@ -8,8 +8,8 @@
 //!                        `-> faults.jsonl (crate::faults::DiskEvent)
 //! ```
 //!
-//! Needs `/dev/fuse` and the right to mount; [`SimulatedDisk::unavailable`] tells. `docs/design/faults.md` says what
-//! each fault is and what a recording must say of it.
+//! Needs `/dev/fuse` and the right to mount; [`SimulatedDisk::unavailable`] reports whether both are there.
+//! `docs/design/faults.md` has what each fault is and what a recording must state about it.
 
 mod medium;
 mod nodes;
@@ -36,7 +36,7 @@ const THREADS: usize = 4;
 pub struct SimulatedDisk {
     mount_point: PathBuf,
     shared: Arc<Shared>,
-    /// The mounted file system; `None` once it is unmounted.
+    /// The mounted session; `None` once it is dropped.
     session: Option<BackgroundSession>,
 }
 
@@ -64,7 +64,7 @@ impl SimulatedDisk {
         truth: Option<Arc<TruthLog>>,
     ) -> io::Result<Self> {
         plan.check().map_err(|e| io::Error::new(io::ErrorKind::InvalidInput, e))?;
-        // A simulator that was killed has left its mount behind; nobody answers there any more.
+        // A simulator that was killed has left its mount behind; no process answers there any more.
         while std::fs::metadata(mount_point).is_err_and(|e| e.raw_os_error() == Some(libc::ENOTCONN)) {
             detach(mount_point)?;
         }
@@ -82,17 +82,17 @@ impl SimulatedDisk {
         Ok(Self { mount_point: mount_point.to_owned(), shared, session: Some(session) })
     }
 
-    /// The folder where the disk is mounted.
+    /// The directory at which the disk is mounted.
     pub fn mount_point(&self) -> &Path {
         &self.mount_point
     }
 
-    /// What cannot be read from now on, instead of what the plan says; `path` is below the mount point.
+    /// What cannot be read from now on, instead of what the plan has; `path` is below the mount point.
     pub fn set_unreadable(&self, faults: Vec<ReadFault>) {
         self.shared.set_unreadable(faults);
     }
 
-    /// Ends all faults of the disk.
+    /// Ends all faults: from now on the disk is sound.
     pub fn repair(&self) {
         self.shared.repair();
     }

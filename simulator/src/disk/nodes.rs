@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// Inode number of the root folder.
+/// The inode number of the root directory.
 pub const ROOT: u64 = 1;
 
 /// Which number is which path; a number is never used again, so that the kernel cannot take one file for another.
@@ -16,7 +16,7 @@ pub struct Nodes {
 }
 
 impl Nodes {
-    /// A table that has the root folder only.
+    /// A table that has the root directory only.
     pub fn new() -> Self {
         let paths = HashMap::from([(ROOT, PathBuf::new())]);
         let numbers = HashMap::from([(PathBuf::new(), ROOT)]);

@@ -24,9 +24,10 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
-/// Names and attributes are asked for every time.
+/// How long the kernel may keep names and attributes: it requests them every time.
 const NO_CACHE: Duration = Duration::ZERO;
 
+/// A file that the kernel has opened.
 #[derive(Debug, Clone)]
 struct Open {
     node: u64,
@@ -77,7 +78,7 @@ impl Shared {
         Self { root, node: node.to_owned(), fallocate, truth, unreadable, state }
     }
 
-    /// Ends all faults of the disk.
+    /// Ends all faults: from now on every call succeeds.
     pub fn repair(&self) {
         self.lock().medium.repair();
         self.set_unreadable(Vec::new());
@@ -118,7 +119,7 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Path of an inode, below the root folder.
+    /// The path of an inode below the root.
     fn path(&self, node: INodeNo) -> Answer<PathBuf> {
         self.lock().nodes.path(node.0).map(Path::to_owned).ok_or(Errno::ENOENT)
     }
@@ -375,7 +376,7 @@ fn kind_of(metadata: &Metadata) -> FileType {
     FileType::from_std(metadata.file_type()).unwrap_or(FileType::RegularFile)
 }
 
-/// The file system that the kernel calls.
+/// The file system that answers the kernel's requests.
 pub struct Passthrough(pub Arc<Shared>);
 
 macro_rules! answer {

@@ -14,7 +14,6 @@ pub struct DiskPlanError(pub String);
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(untagged)]
 pub enum Amount {
-    /// Only the call with this number.
     Exactly(u64),
     /// One of these, both ends included.
     Within(u64, u64),
@@ -63,12 +62,12 @@ pub struct Slow {
 pub struct Full {
     /// What it holds, bytes; files take whole blocks of 4096, but for the last one that still fits.
     pub capacity_bytes: Amount,
-    /// What it says that it holds (`statvfs`); more than the capacity where a quota or thin provisioning is the
+    /// The capacity that it reports (`statvfs`); more than the capacity where a quota or thin provisioning is the
     /// real bound. By default the truth.
     pub announced_bytes: Option<u64>,
 }
 
-/// The kind of call that fails.
+/// The operations of a disk that can fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Operation {
@@ -77,7 +76,7 @@ pub enum Operation {
     Sync,
 }
 
-/// An I/O error and the calls that it hits.
+/// An I/O error of a disk, by the plan.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IoFault {
@@ -99,13 +98,12 @@ pub struct IoFault {
 pub struct ReadFault {
     /// The file, below the disk's root.
     pub path: String,
-    /// Offset of the first unreadable byte.
     pub from: u64,
     /// Behind the last byte; to the file's end by default.
     pub to: Option<u64>,
 }
 
-/// What the disks of a laboratory do wrong. Nothing that is not asked for.
+/// The faults of the disks of a laboratory; by default there are none.
 #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DiskPlan {
@@ -117,14 +115,10 @@ pub struct DiskPlan {
     /// Whether space can be set aside (`fallocate`), as most file systems allow.
     #[serde(default = "yes")]
     pub fallocate: bool,
-    /// How fast the disk writes; `None`: as fast as the host's.
     pub slow: Option<Slow>,
-    /// How many bytes the disk holds; `None`: as many as the host's.
     pub full: Option<Full>,
-    /// The calls that fail with an error.
     #[serde(default)]
     pub error: Vec<IoFault>,
-    /// The ranges of files that cannot be read.
     #[serde(default)]
     pub unreadable: Vec<ReadFault>,
 }
@@ -216,10 +210,9 @@ impl DiskPlan {
     }
 }
 
-/// The [`DiskPlan`] with the random numbers of one disk.
+/// The part of a [`DiskPlan`] that concerns one disk.
 #[derive(Debug, Clone)]
 pub(super) struct Drawn {
-    /// Seed of this disk's random faults.
     pub chance: u64,
     pub slow: Option<Slow>,
     pub slow_from: u64,
@@ -228,7 +221,7 @@ pub(super) struct Drawn {
     pub faults: Vec<DrawnFault>,
 }
 
-/// The [`IoFault`] with the random numbers of one disk.
+/// An [`IoFault`] with the chance of one disk.
 #[derive(Debug, Clone)]
 pub(super) struct DrawnFault {
     pub on: Operation,

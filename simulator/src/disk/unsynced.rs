@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
 
-/// The ranges of one file that no `fdatasync` has covered.
+/// The ranges of one file that are not yet on the medium.
 #[derive(Debug, Default)]
 pub struct Unsynced {
     /// Length that is on the medium.
@@ -30,7 +30,7 @@ impl Unsynced {
         Ok(())
     }
 
-    /// Notes that an `fdatasync` succeeded.
+    /// Notes a successful `fdatasync`: all is on the medium.
     pub fn sync(&mut self) {
         self.durable = self.durable.max(self.end);
         self.before.clear();

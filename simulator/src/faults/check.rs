@@ -17,14 +17,12 @@ const DOUBTFUL: u64 = 48;
 /// Mismatches beyond this many are counted, not listed.
 const LISTED: usize = 200;
 
-/// How faults of one kind were accounted for.
+/// The count of injected faults of one kind, and of wrong accounts of them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
-    /// Faults of this kind that were injected into the sessions.
     pub injected: u64,
     /// With an outcome and events as expected.
     pub right: u64,
-    /// Faults whose frames were recorded with another outcome than expected.
     pub wrong: u64,
 }
 
@@ -65,6 +63,7 @@ impl Accounting {
     }
 }
 
+/// The images that the cameras sent, by which frames are checked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shown {
     /// Test images, numbered from 1 in the order of the rig's cameras: every frame's pixels are compared.
@@ -120,7 +119,7 @@ fn check_recording(
     for problem in &recording.problems {
         into.mismatch(format!("{}: {}", recording.path.display(), problem.message));
     }
-    // Without books what is there is compared, and nothing says how much there should be.
+    // Without books what is there is compared, and how much there should be is not known.
     let unfinished = recording.verdict.is_none() && excuse.no_books;
     if recording.verdict.is_none() && !unfinished {
         into.mismatch(format!("{}: the recording has no verdict", recording.path.display()));
@@ -151,8 +150,8 @@ fn check_recording(
         let outcomes: Vec<String> = (0..end).map(|t| outcome(recording, number, t)).collect();
         let rows = Rows::of(mine(), &outcomes);
         rows.judge(recording, &outcomes, into);
-        // Nothing after it proves what a camera's last frames were lost by.
-        // Shortly after a fault id, stamp and arrival must all agree: a frame that this host made late is given up then.
+        // Nothing after it proves what a camera's last frames were lost by. Shortly after a fault id, stamp and arrival
+        // must all agree: a frame that this host made late is given up then.
         let doubtful_time = |trigger: u64| {
             let since = |fault: &Injected| trigger.checked_sub(fault.trigger + fault.lasts.unwrap_or(0));
             mine().filter_map(since).any(|since| since <= DOUBTFUL)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a recording must say of faults of the HSU and its lines: they cost no frame, and what was noticed is an event;
-//! only a unit that restarts ends the session, and with it the last triggers.
+//! What a recording must state about faults of the HSU and its lines: they cost no frame, and what was noticed is an
+//! event; only a unit that restarts ends the session, and with it the last triggers.
 
 use super::check::Accounting;
 use super::truth::Injected;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Faults that concern a row of triggers, and what the recording must say of each of them.
+//! Faults that concern a row of triggers, and what the recording must state about each of them.
 
 use super::check::Accounting;
 use super::truth::{FRAME, Injected};
@@ -12,7 +12,7 @@ pub(super) struct Rows<'a> {
     by_trigger: BTreeMap<u64, &'a Injected>,
 }
 
-/// Whether a camera that was away must first be found and set up again: nobody says beforehand how long that takes.
+/// Whether a camera that was away must first be found and set up again: how long that takes is not known beforehand.
 fn ends_with_a_frame(fault: &Injected) -> bool {
     fault.events.iter().any(|event| event == "camera_lost")
 }

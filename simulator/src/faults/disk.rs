@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What simulated disks did, one JSON line each, and what a recording may say because of it.
+//! Faults of simulated disks, one JSON line each, and what a recording may state because of them.
 
 use fourdbody::record::{GapCause, RecordingReader};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// The kinds of fault that a disk can have.
+/// A fault of a simulated disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DiskFault {
@@ -43,7 +43,7 @@ pub struct DiskEvent {
 }
 
 impl DiskEvent {
-    /// A record without the optional details.
+    /// A fault without any details beyond its kind.
     pub fn new(node: &str, path: &Path, kind: DiskFault, operation: &str) -> Self {
         Self {
             disk: node.to_owned(),
@@ -84,7 +84,7 @@ impl Excuse {
         for event in events.iter().filter(|event| event.concerns(recording)) {
             match event.kind {
                 DiskFault::Slow => excuse.slow = true,
-                // The node stops by itself before the disk is full, and says so.
+                // The node stops by itself before the disk is full, and states so.
                 DiskFault::Limited => {
                     let aborted = recording.verdict.as_ref().and_then(|verdict| verdict.aborted.as_deref());
                     excuse.failed |= aborted.is_some_and(|reason| reason.contains("the reserve is"));
@@ -106,7 +106,8 @@ impl Excuse {
     }
 }
 
-/// What is wrong with how frames were dropped for a slow disk: only whole sets may be, and an event must say so.
+/// What is wrong with the frames that were dropped for a slow disk: only whole sets may be, and an event must record
+/// it.
 pub(super) fn judge_dropped_sets(recording: &RecordingReader, outcomes: &[Vec<String>]) -> Vec<String> {
     let dropped = GapCause::DroppedRingFull.to_string();
     let triggers = outcomes.iter().map(Vec::len).max().unwrap_or(0);

@@ -20,6 +20,7 @@ pub enum HsuKind {
 }
 
 impl HsuKind {
+    /// All kinds of faults of the HSU and its link.
     pub const ALL: [Self; 3] = [Self::LinkSilent, Self::LinkUnplugged, Self::HsuRestart];
 
     /// The kind of this name.
@@ -44,7 +45,6 @@ pub struct HsuFault {
     pub kind: HsuKind,
     /// To the line of which node; `None`: chance decides, or it is the unit itself.
     pub node: Option<String>,
-    /// How long the fault lasts.
     pub lasts: Duration,
 }
 
@@ -55,7 +55,6 @@ pub struct HsuPlan {
     pub line: LineFaults,
     /// Probability per trigger, by kind.
     pub probability: BTreeMap<HsuKind, f64>,
-    /// Faults at given triggers, beside the random ones.
     pub named: Vec<(i64, HsuFault)>,
     /// No fault by chance before this trigger.
     pub first_trigger: i64,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Faults on purpose: what is injected, where, and what a recording must say of it afterwards.
+//! Faults on purpose: what is injected, where, and what a recording must state about it afterwards.
 //!
 //! ```text
 //! [plan] seed, camera, trigger -> fault -> gige: sends it so -> [truth] one JSON line per fault
@@ -40,7 +40,6 @@ pub struct CameraFaults {
 /// What the HSU needs to inject faults.
 #[derive(Debug, Clone)]
 pub struct HsuFaults {
-    /// The faults to inject, and when.
     pub plan: Arc<FaultPlan>,
     /// The node at the other end of each line.
     pub nodes: Vec<String>,

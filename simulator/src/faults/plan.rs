@@ -15,7 +15,6 @@ pub enum Resend {
     Answered,
     /// It is answered with "not available".
     Refused,
-    /// The camera does not answer the trigger.
     Ignored,
     /// It is answered when the receiver has given the frame up.
     Late,
@@ -24,7 +23,6 @@ pub enum Resend {
 /// What of a frame gets lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
-    /// One packet of the payload is missing.
     Packet,
     /// Several payload packets in a row.
     Burst,
@@ -33,7 +31,7 @@ pub enum Part {
     Trailer,
 }
 
-/// A kind of fault that a camera's frames can have.
+/// A kind of fault of a camera or its network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
     /// No packet of the frame arrives.
@@ -65,18 +63,18 @@ pub enum Kind {
     StampNear,
     /// The frame has no timestamp: it is 0.
     StampAbsent,
-    /// The frame is of another pixel format, or its leader says so.
+    /// The frame is of another pixel format, or its leader states another.
     WrongFormat,
     PaddedRows,
     ChunksAppended,
-    /// Every packet of the frame is four bytes shorter than asked.
+    /// Every packet of the frame is four bytes shorter than requested.
     ShortPackets,
     /// The camera has no power for some triggers; then it is as it always is after power-on.
     Unplugged,
     /// Another client takes control of the camera, and gives it back after some triggers.
     ControlTaken,
-    /// For some triggers the camera's registers hold what its description has no word for: a state of PTP that is none, an
-    /// image without columns.
+    /// For some triggers the camera's registers hold what its description has no word for: a state of PTP that is none,
+    /// an image without columns.
     Nonsense,
     /// Another client asks, tells and babbles on the control channel, without any right to.
     RogueClient,
@@ -86,7 +84,8 @@ pub enum Kind {
     ForeignAhead,
     /// Another program at the camera's own address sends the frame with other pixels and another stamp.
     ForeignPixels,
-    /// Small datagrams that are no packets come to the stream's port from other ports, the camera's address among theirs.
+    /// Small datagrams that are no packets come to the stream's port from other ports, the camera's address among
+    /// theirs.
     ForeignSmall,
 }
 
@@ -202,7 +201,7 @@ impl fmt::Display for Kind {
 #[error("[faults] {0}")]
 pub struct PlanError(pub String);
 
-/// Which faults to inject, with which probabilities and at which triggers.
+/// The faults to inject: by chance with a seed, and at stated triggers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FaultPlan {
     /// Decides everything that is left to chance.
@@ -211,8 +210,8 @@ pub struct FaultPlan {
     pub probability: BTreeMap<Kind, f64>,
     /// No fault before this trigger.
     pub first_trigger: i64,
-    /// At least so many triggers without a fault after each fault of a camera: what several faults in one row
-    /// look like from outside cannot always be told apart (`docs/design/acquisition.md`).
+    /// Number of triggers without a fault at least, after each fault of a camera: what several faults in one row
+    /// look like from outside cannot always be distinguished (`docs/design/acquisition.md`).
     pub clear_triggers: i64,
     /// The same after a reset of the clock, which costs the receiver its idea of it.
     pub clear_after_reset: i64,
@@ -220,9 +219,9 @@ pub struct FaultPlan {
     pub longest: u64,
     /// How late a late answer is.
     pub late: Duration,
-    /// Fewest and most triggers that a camera is away, where the plan does not say how many.
+    /// Fewest and most triggers that a camera is away, where the plan does not state a number.
     pub absence: (u64, u64),
-    /// Faults at stated triggers, whatever chance says, by camera and trigger.
+    /// Faults at stated triggers, beside those of chance, by camera and trigger.
     pub named: BTreeMap<(String, i64), NamedFault>,
     /// Faults of the HSU and its lines.
     pub hsu: HsuPlan,
@@ -311,7 +310,7 @@ impl FaultPlan {
                 name => vec![Kind::parse(name).ok_or_else(|| unknown(name))?],
             };
             for kind in kinds {
-                // A kind that is named has its own probability, whatever "all" says.
+                // A kind that is named has its own probability, beside that of "all".
                 if name != "all" || !table.probability.contains_key(&kind.to_string()) {
                     plan.probability.insert(kind, *probability);
                 }
@@ -342,7 +341,7 @@ impl FaultPlan {
         hash(self.seed, &[camera, trigger as u64, 2])
     }
 
-    /// What chance says for one trigger of one camera, whatever happened before.
+    /// The fault that chance gives one trigger of one camera, whatever happened before.
     fn draw(&self, camera: u64, trigger: i64) -> Option<(Kind, u64)> {
         let mut uniform = share(hash(self.seed, &[camera, trigger as u64, 1]));
         for (kind, probability) in &self.probability {
@@ -409,8 +408,8 @@ impl Fault {
         let count = count.unwrap_or_else(|| match kind {
             Kind::Stall => by_chance(2, plan.longest),
             Kind::IdJump => by_chance(1, plan.longest),
-            // Aravis follows an id that is up to 100 ahead. The frame that it makes of it must have been given up before
-            // the real one comes: nobody can tell their packets apart (docs/design/faults.md).
+            // Aravis follows an id that is up to 100 ahead. The frame that it makes of it must have been given up
+            // before the real one comes: no receiver can tell their packets apart (docs/design/faults.md).
             Kind::ForeignAhead => by_chance(24, 60),
             kind if kind.is_absence() || kind == Kind::Nonsense => by_chance(plan.absence.0, plan.absence.1),
             _ => 1,
@@ -419,7 +418,7 @@ impl Fault {
     }
 }
 
-/// The plan of one camera during one train; asked for every trigger in order.
+/// The plan of one camera during one train; queried for every trigger in order.
 #[derive(Debug, Clone)]
 pub struct CameraPlan {
     camera: u64,

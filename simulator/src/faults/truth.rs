@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What was injected, one JSON line per fault, and what a recording has to say of it.
+//! What was injected, one JSON line per fault, and what a recording has to state about it.
 
 use super::disk::DiskEvent;
 use super::plan::{Fault, Kind, Part, Resend};
@@ -10,7 +10,7 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
-/// The record of one injected fault.
+/// One injected fault, as a line of the truth file.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Injected {
     /// Which train of triggers of this camera it was, from 1 on.
@@ -24,7 +24,6 @@ pub struct Injected {
     pub trigger: u64,
     /// The frame's block id, where there is a frame.
     pub block: Option<u64>,
-    /// Name of the fault's kind, as in the plan.
     pub kind: String,
     /// Accepted outcomes of this trigger: `frame`, or causes of a gap.
     pub expected: Vec<String>,
@@ -42,7 +41,7 @@ impl Injected {
     }
 }
 
-/// The outcome of a trigger that has its frame.
+/// The outcome of a trigger whose frame is recorded.
 pub const FRAME: &str = "frame";
 
 /// Outcomes that are right for this kind, and events that must be there.
@@ -70,7 +69,7 @@ pub fn expectation(kind: Kind) -> (Vec<String>, Vec<String>) {
         Kind::StampGlitch | Kind::StampAbsent => (vec![FRAME.to_owned()], Some("stamp_wrong")),
         // Between two triggers, a trigger ignored and a frame without one would look the same.
         Kind::StampNear => (vec![FRAME.to_owned(), GapCause::IdentityMismatch.to_string()], None),
-        // Aravis takes some for packets; then the marks in the block say that a part was not written.
+        // Aravis takes some for packets; then the marks in the block show that a part was not written.
         Kind::Malformed => (vec![FRAME.to_owned(), missing], None),
         Kind::Reordered | Kind::Duplicated | Kind::RepeatedFrame | Kind::RogueClient => {
             (vec![FRAME.to_owned()], None)
@@ -79,7 +78,7 @@ pub fn expectation(kind: Kind) -> (Vec<String>, Vec<String>) {
         Kind::ForeignFar | Kind::ForeignAhead | Kind::ForeignPixels | Kind::ForeignSmall => {
             (vec![FRAME.to_owned()], None)
         }
-        // A camera that is back before anybody asked it looks like one whose control was lost.
+        // A camera that is back before the node has queried it looks like one whose control was lost.
         Kind::Unplugged => {
             let causes = [GapCause::Unplugged, GapCause::ControlLost];
             (causes.map(|cause| cause.to_string()).to_vec(), Some("camera_lost"))
@@ -126,7 +125,7 @@ impl TruthLog {
         });
     }
 
-    /// Writes one line of the record.
+    /// Writes a line of JSON to the truth file.
     pub fn write_down(&self, what: &impl Serialize) {
         let line = serde_json::to_string(what).map(|line| line + "\n").map_err(io::Error::from);
         let mut file = self.0.lock().unwrap_or_else(PoisonError::into_inner);

@@ -20,7 +20,7 @@ pub enum ActionFate {
     Late(Duration),
 }
 
-/// Decides by the trigger's number what becomes of its command.
+/// Decides by the trigger's number whether its command arrives.
 #[derive(Clone)]
 pub struct ActionFilter(Arc<dyn Fn(i64) -> ActionFate + Send + Sync>);
 
@@ -37,7 +37,7 @@ impl fmt::Debug for ActionFilter {
     }
 }
 
-/// Request ids go round after so many.
+/// Number of request ids after which they repeat.
 const IDS: i64 = u16::MAX as i64;
 
 /// The action commands of one camera.
@@ -49,7 +49,7 @@ pub struct Actions {
 }
 
 impl Actions {
-    /// The state before the first action command.
+    /// A counter before the first action command.
     pub fn new(filter: Option<ActionFilter>) -> Self {
         Self { filter, last: 0 }
     }

@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// The clock that PTP gives all cameras of this process: the time of day when it was first asked for, and on from there.
+/// The clock that PTP gives all cameras of this process: the time of day at its first use, and on from there.
 fn common() -> (Instant, u64) {
     static COMMON: OnceLock<(Instant, u64)> = OnceLock::new();
     *COMMON.get_or_init(|| {
@@ -37,7 +37,6 @@ pub struct CameraClock {
     first_ns: i64,
     offset_ns: AtomicI64,
     drift_ppb: i64,
-    /// Whether PTP sets the clock.
     common: AtomicBool,
 }
 
@@ -75,7 +74,7 @@ impl CameraClock {
         self.common.store(common, Ordering::Relaxed);
     }
 
-    /// Whether PTP sets the clock.
+    /// Whether the clock is set by PTP.
     pub fn is_common(&self) -> bool {
         self.common.load(Ordering::Relaxed)
     }

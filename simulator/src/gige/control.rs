@@ -22,7 +22,6 @@ pub struct StreamSettings {
     pub layout: Layout,
     /// Where packets go; frames are exposed, but not sent, while the stream is closed.
     pub destination: Option<SocketAddrV4>,
-    /// Time between two packets of a frame.
     pub packet_delay: Duration,
     /// The stream's packets must not be fragmented.
     pub do_not_fragment: bool,
@@ -38,18 +37,13 @@ pub enum Action {
     SoftwareTrigger,
     /// The trigger of an action command.
     ActionTrigger {
-        /// Id of the scheduled action.
         id: u16,
-        /// Time at which the action is due.
         time: Instant,
     },
     /// Send a test packet of this size (IP and UDP headers counted in).
     TestPacket {
-        /// Address to which the test packet goes.
         destination: SocketAddrV4,
-        /// Size as the register holds it, bytes.
         packet_size: u16,
-        /// Whether routers must not fragment it.
         do_not_fragment: bool,
     },
     Resend(ResendRequest),
@@ -88,7 +82,7 @@ pub struct Control {
 }
 
 impl Control {
-    /// A device that nobody controls.
+    /// A device that no client controls.
     pub fn new(registers: Registers) -> Self {
         Self { registers, controller: None, acquiring: false, last_write: None, held_until: None }
     }
@@ -108,11 +102,12 @@ impl Control {
         self.acquiring = false;
     }
 
+    /// Whether an acquisition is running now.
     pub fn acquiring(&self) -> bool {
         self.acquiring
     }
 
-    /// Handles one datagram and returns what is to be done.
+    /// Handles one datagram that arrived at the control port.
     pub fn handle(&mut self, datagram: &[u8], from: SocketAddrV4, now: Instant) -> Outcome {
         let mut outcome = self.expire(now);
         self.registers.tick(self.acquiring, now);
@@ -131,7 +126,7 @@ impl Control {
             }
         }
         let answer = self.execute(&request, from, now, &mut outcome.actions);
-        // A discovery is answered whatever its flags say.
+        // A discovery is answered whatever its flags are.
         outcome.answer = answer.filter(|_| request.ack || request.command == Command::Discovery);
         let write = matches!(request.command, Command::WriteRegisters(_) | Command::WriteMemory { .. });
         if self.is_controller(from) {
@@ -200,7 +195,7 @@ impl Control {
                 if !self.registers.can_move() {
                     return Some(gvcp::force_ip_ack(id, Status::NotImplemented));
                 }
-                // Of another device, or of one that somebody controls: not for this one, and not a word.
+                // For another device, or for one that a client controls: it is ignored without an answer.
                 if force.mac != self.registers.mac() || self.controller.is_some() {
                     return None;
                 }
@@ -311,7 +306,7 @@ impl Control {
         (Status::Success, (written & 0xffff) as u16)
     }
 
-    /// Writes one register, whatever it sets off; says how many bytes it took.
+    /// Writes one register, whatever it sets off; returns how many bytes it took.
     fn write(
         &mut self,
         address: u32,
@@ -367,7 +362,7 @@ impl Control {
                 self.registers.privilege = value;
                 self.registers.controller = Some(from);
             }
-            // Switchover and its key are not implemented, and the capability register says so.
+            // Switchover and its key are not implemented, and the capability register has no bit for them.
             _ => return Err(Status::InvalidParameter),
         }
         Ok(())

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A camera behind a description that was published for a real one: the description lies in its memory, as cameras have it,
-//! and its features are registers where the description says.
+//! A camera behind a description that was published for a real one: the description lies in its memory, as cameras have
+//! it, and its features are registers at the places that the description names.
 //!
-//! What firmware does besides is little, and is given as facts: commands that are done at once, and registers of which there is
-//! one behind every value of a selector although they share an address. What the camera then does with its frames is not
-//! read from the registers here: another implementation of GenICam reads them, and says ([`Described::work_as`]).
+//! What firmware does besides is little, and is given as facts: commands that are done at once, and registers of which
+//! there is one behind every value of a selector although they share an address. What the camera then does with its
+//! frames is not read from the registers here: another implementation of GenICam reads them, and reports it
+//! ([`Described::work_as`]).
 
 use super::settings::Settings;
 use serde::Deserialize;
@@ -39,7 +40,7 @@ pub struct Command {
 /// Registers behind selectors: by their addresses, those of the selectors.
 type Banks = BTreeMap<u32, Vec<u32>>;
 
-/// What writing to a described register does.
+/// The registers of a described camera that have an effect.
 #[derive(Debug, Clone, Default, Deserialize)]
 pub struct Facts {
     commands: Vec<Command>,
@@ -119,7 +120,7 @@ impl Described {
         self.inner().works_as = Some(settings);
     }
 
-    /// The registers of the standard as they were when somebody wrote last: address and word.
+    /// The registers of the standard as they were after the last write: address and word.
     pub fn bootstrap(&self) -> Vec<(u32, u32)> {
         self.inner().bootstrap.clone()
     }
@@ -132,12 +133,12 @@ impl Described {
         self.inner().works_as.clone()
     }
 
-    /// What the register of the description's place says.
+    /// The content of the register with the description's place.
     pub(super) fn url(&self) -> String {
         format!("Local:{};{FILE_ADDRESS:x};{:x}", self.name, self.length)
     }
 
-    /// The four bytes at an aligned address; what nobody wrote is zero.
+    /// The four bytes at an aligned address; what was never written is zero.
     pub(super) fn word(&self, address: u32) -> [u8; 4] {
         let offset = address.checked_sub(FILE_ADDRESS).and_then(|offset| usize::try_from(offset).ok());
         if let Some(bytes) = offset.and_then(|at| self.file.get(at..at.checked_add(4)?)) {
@@ -169,7 +170,7 @@ impl Inner {
 
     fn read(&self, address: u32) -> u32 {
         let place = self.place(address);
-        // Behind a selector's value that nobody used it is as behind all.
+        // Behind a selector's value that was never used the word is the one of all values.
         let plain = || self.memory.get(&(address, Vec::new()));
         self.memory.get(&place).or_else(plain).copied().unwrap_or(0)
     }
@@ -187,7 +188,7 @@ impl Inner {
         {
             self.memory.clone_from(delivered);
         }
-        // It is done when its bits are other ones, unless these say which of two commands was the last: one is zero.
+        // It is done when its bits are other ones, unless these name which of two commands was the last: one is zero.
         let place = self.place(address);
         let same = |other: &&Command| other.address == address && other.mask == command.mask;
         let others = self.facts.commands.iter().filter(same);

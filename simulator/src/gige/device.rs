@@ -29,7 +29,7 @@ use std::time::{Duration, Instant};
 const CONTROL_TICK: Duration = Duration::from_millis(50);
 /// Asked of the system for the stream's socket; it may give less.
 const SEND_BUFFER: i32 = 8 << 20;
-/// An answer that takes so long is announced.
+/// An answer that takes this time or longer is announced by PENDING_ACK.
 const PENDING: Duration = Duration::from_millis(100);
 /// Longest datagram a controller may send.
 const DATAGRAM: usize = 2048;
@@ -47,7 +47,7 @@ pub struct CameraOptions {
     pub address: Ipv4Addr,
     /// The light on the sensor; its size is the sensor's.
     pub images: Arc<dyn ImageSource>,
-    /// Edges at the trigger input `Line0`.
+    /// The edges of the trigger input (`Line0`).
     pub triggers: Receiver<TriggerEdge>,
     pub clock: ClockOptions,
     /// Frames kept for resend requests: what the camera's memory holds.
@@ -60,7 +60,7 @@ pub struct CameraOptions {
     pub habits: Habits,
     /// The make that it is like; else it is the simulator's own.
     pub make: Option<Arc<Make>>,
-    /// The published description that it is behind, and its memory; else what `make` says.
+    /// The published description that it is behind, and its memory; else `make` decides.
     pub described: Option<Arc<Described>>,
     /// Faults to inject at triggers of the wire; none by default.
     pub faults: Option<CameraFaults>,
@@ -238,6 +238,7 @@ impl SimulatedCamera {
         self.address
     }
 
+    /// The counters of the camera: frames, packets and resends.
     pub fn statistics(&self) -> &Statistics {
         &self.statistics
     }
@@ -290,7 +291,7 @@ struct Controller {
     /// What it is after power-on.
     power_on: Box<dyn Fn() -> Control + Send>,
     presence: Arc<Presence>,
-    /// Number of power-ons seen so far.
+    /// The number of power-ons that this thread has seen.
     boots: u64,
     socket: UdpSocket,
     broadcasts: Vec<UdpSocket>,

@@ -7,7 +7,7 @@ use super::registers::Registers;
 use std::net::{SocketAddrV4, UdpSocket};
 
 /// Sockets that hear broadcasts. All cameras of all processes share the addresses; where one cannot be
-/// bound, the camera says so and is found by its own address only.
+/// bound, the camera warns and is found by its own address only.
 pub fn sockets() -> Vec<UdpSocket> {
     let mut sockets = Vec::with_capacity(BROADCASTS.len());
     for address in BROADCASTS {

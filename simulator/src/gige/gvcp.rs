@@ -59,24 +59,24 @@ pub enum Status {
     ActionLate = 0x8016,
 }
 
-/// Which packets of which block are asked for again.
+/// The packets of a block whose retransmission is requested.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ResendRequest {
     /// Stream channel; this device has channel 0 only.
     pub channel: u16,
     /// GVSP block id: 16 bits, or 64 when `extended`.
     pub block_id: u64,
-    /// First packet id asked for.
+    /// The first packet id that is requested.
     pub first: u32,
-    /// Last packet id asked for, inclusive.
+    /// The last packet id that is requested, inclusive.
     pub last: u32,
     /// Sent with 64-bit block ids and 32-bit packet ids.
     pub extended: bool,
 }
 
+/// A GVCP command that a client sends.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Command {
-    /// A client looks for devices.
     Discovery,
     /// Read 32-bit registers at these addresses.
     ReadRegisters(Vec<u32>),
@@ -84,14 +84,11 @@ pub enum Command {
     WriteRegisters(Vec<(u32, u32)>),
     /// Read `count` bytes from `address`.
     ReadMemory {
-        /// Address of the first byte.
         address: u32,
-        /// Number of bytes to read.
         count: u16,
     },
     /// Write bytes from `address` on.
     WriteMemory {
-        /// Address of the first byte.
         address: u32,
         data: Vec<u8>,
     },
@@ -139,13 +136,10 @@ impl ActionCommand {
 /// Where a device shall move to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ForceIp {
-    /// MAC address of the device that is meant, 48 bits.
+    /// The MAC of the camera that is meant, 48 bits.
     pub mac: u64,
-    /// The address that the device shall take.
     pub address: Ipv4Addr,
-    /// Mask of the new subnet.
     pub mask: Ipv4Addr,
-    /// Gateway of the new subnet.
     pub gateway: Ipv4Addr,
 }
 
@@ -166,7 +160,7 @@ impl ForceIp {
     }
 }
 
-/// One GVCP command with what its header says about the answer.
+/// One GVCP command, with the flags of its header that concern the answer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Request {
     /// Echoed by the acknowledge; never 0.
@@ -186,7 +180,6 @@ pub enum Malformed {
         status: Status,
         /// The command that is refused.
         command: u16,
-        /// Id of the request that is answered.
         id: u16,
         /// The sender wants an acknowledge.
         ack: bool,
@@ -379,7 +372,7 @@ pub fn action_ack(id: u16, status: Status) -> Vec<u8> {
     acknowledge(status, ACTION + 1, id, &[])
 }
 
-/// PENDING_ACK: the answer to request `id` takes so many ms.
+/// PENDING_ACK: the answer to request `id` follows after this number of milliseconds.
 pub fn pending_ack(id: u16, milliseconds: u16) -> Vec<u8> {
     let time = milliseconds.to_be_bytes();
     acknowledge(Status::Success, PENDING_ACK, id, &[0, 0, time[0], time[1]])

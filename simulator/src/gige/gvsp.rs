@@ -25,7 +25,7 @@ pub const FORMATS: [(&str, u32); 11] = [
 ];
 /// Bytes of IP and UDP headers, which the packet size register counts in.
 pub const IP_UDP_OVERHEAD: usize = 28;
-/// Length of the longest GVSP header, bytes.
+/// Bytes of the longest header of a GVSP packet.
 pub const MAX_HEADER: usize = 20;
 /// Bytes of an image leader after the GVSP header.
 pub const LEADER_BODY: usize = 36;
@@ -36,7 +36,7 @@ const LEADER: u8 = 1;
 const TRAILER: u8 = 2;
 const PAYLOAD: u8 = 3;
 const EXTENDED: u8 = 0x80;
-/// Payload type of chunks of which a leader says nothing but the time.
+/// Payload type of chunks whose leader states only the time.
 const CHUNK_DATA: u16 = 4;
 /// Bytes of its leader after the GVSP header.
 const SHORT_LEADER_BODY: usize = 12;
@@ -44,13 +44,12 @@ const SHORT_LEADER_BODY: usize = 12;
 const CHUNK_TAIL: usize = 8;
 const FLAG_RESEND: u16 = 0x0001;
 
-/// The status field of a stream packet.
+/// The status field of a GVSP packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u16)]
 pub enum Status {
     /// Sent for the first time.
     Ok = 0x0000,
-    /// The packet is sent again on request.
     Resent = 0x0100,
     /// Cannot be sent again: not in the camera's memory.
     Unavailable = 0x800c,
@@ -83,7 +82,7 @@ impl IdMode {
     }
 }
 
-/// What a leader says that a payload is.
+/// The payload type that a leader states.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[repr(u16)]
@@ -110,15 +109,15 @@ impl Payload {
 pub struct Form {
     /// PFNC code of its pixels.
     pub format: u32,
-    /// What the leader says of them.
+    /// The pixel format that the leader states.
     pub told: u32,
-    /// Number of padding bytes after every row.
+    /// Padding bytes that follow each row.
     pub padding: u16,
-    /// Number of bytes after the image.
+    /// Bytes that follow the image in its payload.
     pub appended: u32,
-    /// What the leader says that the payload is.
+    /// The payload type that the leader states.
     pub payload: Payload,
-    /// Bytes by which every full packet is shorter than asked.
+    /// Bytes by which every full packet is shorter than requested.
     pub short: u16,
 }
 
@@ -129,7 +128,7 @@ impl Default for Form {
 }
 
 impl Form {
-    /// Bytes of a row, without its padding: a PFNC code says how many bits a pixel has.
+    /// Bytes of a row, without its padding: a PFNC code has the number of bits of a pixel.
     pub fn line(&self, width: u32) -> usize {
         (width as usize * (self.format >> 16 & 0xff) as usize).div_ceil(8)
     }
@@ -139,8 +138,9 @@ impl Form {
         (self.line(width) + usize::from(self.padding)) * height as usize + self.appended as usize
     }
 
-    /// Byte number `at` behind an image of `image` bytes. Where chunks were announced and fit, they are the image's tail and
-    /// one chunk that has the rest of the room; else, and in what that chunk holds, it is something that is not 0.
+    /// Byte number `at` behind an image of `image` bytes. Where chunks were announced and fit, they are the image's
+    /// tail and one chunk that has the rest of the room; else, and in what that chunk holds, it is something that is
+    /// not 0.
     pub fn behind(&self, at: usize, image: usize) -> u8 {
         const FILL: u8 = 0xa5;
         let room = self.appended as usize;
@@ -166,15 +166,12 @@ impl Form {
 /// How one image is cut into packets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Layout {
-    /// Number of the image's columns.
     pub width: u32,
-    /// Number of the image's rows.
     pub height: u32,
-    /// Width of block and packet ids.
+    /// Whether block ids have 16 or 64 bits.
     pub ids: IdMode,
     /// Payload bytes of every full payload packet.
     pub chunk: usize,
-    /// Pixel format and payload type.
     pub form: Form,
 }
 
@@ -196,7 +193,7 @@ impl Layout {
         Self { chunk: asked.saturating_sub(usize::from(form.short)).max(1), form, ..self }
     }
 
-    /// Length of the payload, bytes.
+    /// Bytes of the payload with all padding.
     pub fn image_bytes(&self) -> usize {
         self.form.payload(self.width, self.height)
     }
@@ -206,7 +203,7 @@ impl Layout {
         u32::try_from(self.image_bytes().div_ceil(self.chunk)).unwrap_or(u32::MAX)
     }
 
-    /// Packet id of the trailer.
+    /// The packet id of a block's trailer.
     pub fn trailer_id(&self) -> u32 {
         self.payload_packets().saturating_add(1)
     }
@@ -318,7 +315,7 @@ pub fn resent_payload(layout: &Layout, block_id: u64, packet_id: u32, pixels: &[
     bytes
 }
 
-/// The answer to a resend request that cannot be fulfilled: a header that says so.
+/// The answer to a resend request that cannot be fulfilled: a header with that status.
 pub fn unavailable(ids: IdMode, block_id: u64, packet_id: u32) -> Vec<u8> {
     header(ids, Status::Unavailable, PAYLOAD, block_id, packet_id)[..ids.header_size()].to_vec()
 }

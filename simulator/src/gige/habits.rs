@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What cameras do differently from each other, and in which they are right by their own lights: formats, padding, chunks,
-//! packets of another size, clocks.
+//! What cameras do differently from each other, and in which they are right by their own lights: formats, padding,
+//! chunks, packets of another size, clocks.
 
 use super::gvsp::{FORMATS, Form, Payload};
 use serde::Deserialize;
@@ -12,19 +12,19 @@ use std::time::Duration;
 pub struct Habits {
     /// Its pixel format after power-on, and what of its frames its features tell.
     pub power_on: Form,
-    /// What its frames are from a trigger on, whatever its features say.
+    /// The form of its frames from a trigger on, although its features state another.
     pub frames: Option<(i64, Form)>,
     /// How its clock is read.
     pub clock: ClockHabit,
-    /// It stamps a frame so long after its exposure began.
+    /// Time from the beginning of the exposure to the frame's timestamp.
     pub stamp_late: Duration,
     /// It stamps frames with 0.
     pub no_stamps: bool,
-    /// It sends a frame so long after its exposure ended.
+    /// Time from the end of the exposure to the frame's first packet.
     pub send_late: Duration,
     /// Where in a frame it takes the stamp, to which `stamp_late` is added.
     pub stamp: StampPoint,
-    /// It reads a picture out so long after its exposure ended.
+    /// Time from the end of the exposure to the readout.
     pub readout_late: Duration,
     /// The exposure for which its images are meant: others make them brighter or darker. None: all are right.
     pub nominal: Option<Duration>,
@@ -32,43 +32,43 @@ pub struct Habits {
     pub exposure_step: Duration,
     /// What it does with an exposure that is not one of its own.
     pub exposures: Exposures,
-    /// Commands are done so many ms after they were acknowledged.
+    /// Time from the acknowledgement of a command to its execution, ms.
     pub command_ms: u64,
-    /// Answers to writes come so many ms late.
+    /// Delay of answers to writes, ms.
     pub answer_late_ms: u64,
-    /// Test packets come so many ms after they were asked for.
+    /// Delay of test packets after their request, ms.
     pub test_packet_late_ms: u64,
     /// Its description names this as the largest packet, bytes, whatever it takes; 0: the largest that it takes.
     pub packet_max_told: u16,
-    /// What it says of itself has a byte that is no UTF-8, as names in other alphabets had before.
+    /// Its name has a byte that is no UTF-8, as names in older encodings have.
     pub foreign_names: bool,
     /// After power-on its `AcquisitionMode` holds a value of none of its entries, until one is set.
     pub no_entry: bool,
     /// Its description names features that it does not have, and nodes that are not there.
     pub broken_description: bool,
-    /// Another client has control for so many ms after power-on.
+    /// How long another client has control after power-on, ms.
     pub held_ms: u64,
-    /// It has a link-local address until somebody gives it another; for cameras of other makes.
+    /// It has a link-local address until a client gives it another; for cameras of other makes.
     pub link_local: bool,
-    /// Its clock counts ticks of so many ns, whatever `clock` says; 0: as that says.
+    /// Nanoseconds of a tick of its clock, in place of those of `clock`; 0 leaves them.
     pub tick_ns: u64,
     /// Block ids have 64 bits after power-on.
     pub extended_ids: bool,
     /// PTP never sets its clock: it listens for ever.
     pub ptp_listens: bool,
-    /// From one trigger of each train up to another it hears no master: its status is `Listening`, and its clock goes on
-    /// as PTP left it.
+    /// From one trigger of each train up to another it hears no master: its status is `Listening`, and its clock goes
+    /// on as PTP left it.
     pub ptp_away: Option<(i64, i64)>,
     /// The number of left-over frames that it sends when an acquisition starts, one after each `stray_after`, as some
     /// do (aravis#762). Before its first frame it has none.
     pub strays: u32,
-    /// Time after which each of the `strays` is sent.
+    /// The time from one left-over frame to the next (see `strays`).
     pub stray_after: Duration,
     /// Block ids go on from the acquisition before.
     pub ids_go_on: bool,
     /// It wakes up late: the number of triggers that it misses of each acquisition, warm-up included (aravis#818).
     pub late_triggers: u32,
-    /// It takes one trigger in so many, because exposure and readout last longer than the period; 0: each.
+    /// It takes one trigger of this number, because exposure and readout last longer than the period; 0 takes each.
     pub takes_one_in: u32,
 }
 
@@ -76,12 +76,9 @@ pub struct Habits {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StampPoint {
-    /// The time at which the exposure begins.
     #[default]
     ExposureStart,
-    /// The time at which the exposure ends.
     ExposureEnd,
-    /// The time at which the readout begins.
     ReadoutStart,
     /// When the leader goes out.
     LeaderSent,
@@ -91,10 +88,10 @@ pub enum StampPoint {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Exposures {
-    /// Takes the nearest, and says so when it is read back; refuses what is out of bounds.
+    /// Takes the nearest, and returns that when it is read back; refuses what is out of bounds.
     #[default]
     Rounded,
-    /// Takes the nearest, and says what was asked.
+    /// Takes the nearest, and returns the requested value when it is read back.
     Asked,
     /// Takes the nearest within its bounds for any number.
     Clamped,
@@ -111,16 +108,16 @@ pub enum ClockHabit {
     Bootstrap,
     /// Features of SFNC 2, which count ns, beside ticks of 8 ns in stamps and bootstrap registers.
     Nanoseconds,
-    /// Features of GigE Vision 1; ticks of 8 ns, and the frequency says 0.
+    /// Features of GigE Vision 1; ticks of 8 ns, and the frequency feature is 0.
     ZeroFrequency,
-    /// No features, and no register says how long the ticks of 8 ns are.
+    /// No features, and no register states the length of the ticks of 8 ns.
     NoFrequency,
     /// Features of GigE Vision 1 whose latch does nothing.
     Still,
 }
 
 impl ClockHabit {
-    /// What the registers say of its frequency, Hz.
+    /// The frequency that the registers state, Hz.
     pub fn frequency(self) -> Option<u64> {
         match self {
             Self::Ticks | Self::Still => Some(1_000_000_000),
@@ -130,7 +127,7 @@ impl ClockHabit {
         }
     }
 
-    /// Ticks of so many ns.
+    /// Ticks of this number of nanoseconds.
     pub fn ticks(self, ns: u64) -> u64 {
         match self {
             Self::Ticks | Self::Still => ns,
@@ -150,7 +147,7 @@ impl ClockHabit {
 pub struct HabitError(String);
 
 impl Habits {
-    /// What the registers say of its clock's frequency, Hz.
+    /// The frequency of its clock by the registers, Hz.
     pub fn frequency(&self) -> Option<u64> {
         match (self.clock.frequency()?, self.tick_ns) {
             (0, _) => Some(0),
@@ -159,7 +156,7 @@ impl Habits {
         }
     }
 
-    /// Ticks of its clock in so many ns.
+    /// Ticks of its clock in a number of nanoseconds.
     pub fn ticks(&self, ns: u64) -> u64 {
         ns.checked_div(self.tick_ns).unwrap_or_else(|| self.clock.ticks(ns))
     }
@@ -298,18 +295,18 @@ struct AwayTable {
 #[serde(deny_unknown_fields)]
 struct FormTable {
     pixel_format: Option<String>,
-    /// What the leader says instead.
+    /// The pixel format in the leader, where it differs.
     told: Option<String>,
-    /// Number of padding bytes after every row.
+    /// Padding bytes that follow each row.
     #[serde(default)]
     padding: u16,
-    /// Number of bytes after the image.
+    /// Bytes that follow the image in its payload.
     #[serde(default)]
     appended: u32,
-    /// What the leader says that the payload is.
+    /// The payload type that the leader states.
     #[serde(default)]
     payload: Payload,
-    /// Bytes that each packet is shorter than asked.
+    /// Bytes by which each packet is shorter than requested.
     #[serde(default)]
     short: u16,
     from_trigger: Option<i64>,

@@ -12,7 +12,6 @@ use std::time::{Duration, Instant};
 pub struct Injector {
     faults: CameraFaults,
     plan: CameraPlan,
-    /// Number of trains seen so far.
     train: u64,
     last: Option<(i64, Instant)>,
     period: Option<Duration>,
@@ -21,7 +20,7 @@ pub struct Injector {
 }
 
 impl Injector {
-    /// The injector's state before the first train.
+    /// An injector before the first train begins.
     pub fn new(faults: CameraFaults) -> Self {
         let plan = CameraPlan::new(&faults.camera);
         Self { faults, plan, train: 0, last: None, period: None, away: false }
@@ -84,7 +83,7 @@ pub fn layout(layout: Layout, fault: Fault) -> Layout {
     const EXTRA: u16 = 8;
     let form = layout.form;
     layout.with(match fault.kind {
-        // Every second one says so and is sent as ever: the leader alone tells.
+        // Every second one changes the leader alone, and its pixels stay as they were.
         Kind::WrongFormat => {
             let others = FORMATS.len() as u64 - 1;
             let (_, told) = FORMATS[1 + (fault.chance % others) as usize];

@@ -15,20 +15,19 @@ pub enum Access {
 /// One register of the map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Register {
-    /// Address of the register's first byte.
+    /// The address of the register's first byte.
     pub address: u32,
     /// Bytes: 4 is an unsigned integer, 8 an IEEE 754 double, anything longer text.
     pub length: u16,
-    /// Whether clients may read and write it.
     pub access: Access,
     /// A running acquisition locks it.
     pub locked: bool,
-    /// The name that the device's code uses for it.
     pub id: Id,
 }
 
 macro_rules! registers {
     ($($id:ident $address:literal $length:literal $access:ident $($locked:ident)?;)*) => {
+        /// The names of all registers of the map.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
         #[allow(missing_docs, reason = "the table below and the standard name them")]
         pub enum Id { $($id),* }
@@ -40,7 +39,7 @@ macro_rules! registers {
             }
         }
 
-        /// All registers, in the order of their addresses.
+        /// All registers of the map, by their addresses.
         pub const REGISTERS: &[Register] = &[$(Register {
             address: $address,
             length: $length,

@@ -11,7 +11,7 @@
 //! A camera of another make has its features in [`make`] instead of [`map`]; what it makes of the light is in [`picture`].
 //!
 //! [`gvcp`], [`gvsp`], [`control`], [`registers`], [`sensor`] and [`genicam`] know no sockets and no threads.
-//! `docs/design/simulated-cameras.md` says what of the standard is implemented.
+//! `docs/design/simulated-cameras.md` lists what of the standard is implemented.
 
 #![deny(unsafe_code)]
 
@@ -102,22 +102,10 @@ pub enum CameraError {
     },
     /// The image source has a size that no camera has.
     #[error("images are {width} x {height} pixels, expected 16 to 16384 columns and 1 to 16384 rows")]
-    Size {
-        /// Width of the sensor, pixels.
-        width: usize,
-        /// Height of the sensor, pixels.
-        height: usize,
-    },
+    Size { width: usize, height: usize },
     /// A text does not fit into its register.
     #[error("the {field} {text:?} must have at most {limit} bytes and no NUL")]
-    Text {
-        /// Name of the option that is wrong.
-        field: &'static str,
-        /// The text that the option was given.
-        text: String,
-        /// Number of bytes that fit.
-        limit: usize,
-    },
+    Text { field: &'static str, text: String, limit: usize },
     /// A socket refuses an option.
     #[error("cannot set up a camera socket: {0}")]
     Socket(std::io::Error),

@@ -33,14 +33,14 @@ fn set_option(
 /// A UDP socket on an address that other processes (and cameras) may bind as well: broadcast addresses.
 ///
 /// # Errors
-/// As the system says, for instance where a program holds the port for itself alone.
+/// The system's error, for instance where a program holds the port for itself alone.
 pub fn bind_shared(address: SocketAddrV4) -> io::Result<UdpSocket> {
     // SAFETY: no pointers are passed; the result is checked before use.
     let fd = unsafe { libc::socket(libc::AF_INET, libc::SOCK_DGRAM | libc::SOCK_CLOEXEC, 0) };
     if fd < 0 {
         return Err(io::Error::last_os_error());
     }
-    // SAFETY: `fd` was just opened and nobody else owns it.
+    // SAFETY: `fd` was just opened and no other owner exists.
     let socket = unsafe { OwnedFd::from_raw_fd(fd) };
     set_option(&socket, libc::SOL_SOCKET, libc::SO_REUSEADDR, 1)?;
     let name = libc::sockaddr_in {
@@ -63,10 +63,10 @@ pub fn bind_shared(address: SocketAddrV4) -> io::Result<UdpSocket> {
 /// Puts another socket into the place of one that is shared by threads.
 ///
 /// # Errors
-/// As the system says.
+/// The error that the system reports.
 pub fn replace(socket: &UdpSocket, other: &UdpSocket) -> io::Result<()> {
-    // SAFETY: both descriptors are open and owned by sockets that outlive the call; `socket` owns the copy from now on, as
-    // it owned what the system closes here.
+    // SAFETY: both descriptors are open and owned by sockets that outlive the call; `socket` owns the copy from now on,
+    // as it owned what the system closes here.
     let result = unsafe { libc::dup3(other.as_raw_fd(), socket.as_raw_fd(), libc::O_CLOEXEC) };
     if result < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
 }
@@ -126,7 +126,7 @@ pub fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, Sock
         {
             let stamp = libc::CMSG_DATA(header).cast::<libc::timespec>().read_unaligned();
             let since = Duration::new(stamp.tv_sec.unsigned_abs(), u32::try_from(stamp.tv_nsec).unwrap_or(0));
-            // A time of day that was set meanwhile says nothing.
+            // A time of day that was set meanwhile is no measure.
             let age = SystemTime::now().duration_since(UNIX_EPOCH + since).unwrap_or_default();
             arrived = now.checked_sub(age.min(Duration::from_secs(1))).unwrap_or(now);
         }
@@ -135,7 +135,7 @@ pub fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, Sock
     Ok((length, SocketAddrV4::new(address, u16::from_be(from.sin_port)), arrived))
 }
 
-/// Waits until a socket has something to read, at most so long. Appends the indices of those that have.
+/// Waits until a socket has something to read, at most for this time. Appends the indices of those that have.
 pub fn poll_readable(sockets: &[&UdpSocket], timeout: Duration, ready: &mut Vec<usize>) -> io::Result<()> {
     let mut entries: Vec<libc::pollfd> = sockets
         .iter()
@@ -197,11 +197,11 @@ impl<'a> Batch<'a> {
         self.length == BATCH
     }
 
-    /// Sends everything and empties the batch; says how many datagrams went out.
+    /// Sends everything and empties the batch; returns how many datagrams went out.
     ///
     /// # Errors
-    /// What the system says of the first datagram that did not go out. A refusal by the receiver's host
-    /// (nobody listens yet) is reported on the packet after, which is tried again once.
+    /// The system's error for the first datagram that did not go out. A refusal by the receiver's host
+    /// (no program listens yet) is reported on the packet after, which is tried again once.
     pub fn send(&mut self, socket: &UdpSocket) -> io::Result<usize> {
         let (mut sent, mut refused) = (0, false);
         while sent < self.length {
@@ -233,7 +233,7 @@ fn run_length(parts: &[(&[u8], &[u8])]) -> usize {
     same + usize::from(shorter)
 }
 
-/// Room for the one control message that says how long each datagram of a run is. Aligned as `cmsghdr` wants.
+/// Room for the one control message that has the length of each datagram of a run. Aligned as `cmsghdr` wants.
 type Control = [u64; 3];
 
 /// Makes `message` a run of datagrams of `length` bytes each (the last one may be shorter).
@@ -243,7 +243,7 @@ fn ask_to_cut(message: &mut libc::msghdr, control: &mut Control, length: u16) {
     debug_assert!(space as usize <= size_of::<Control>(), "the control message fits");
     message.msg_control = control.as_mut_ptr().cast();
     message.msg_controllen = space as _;
-    // SAFETY: `control` is aligned, zeroed, and as long as `msg_controllen` says: there is a first header in it,
+    // SAFETY: `control` is aligned, zeroed, and as long as `msg_controllen` states: there is a first header in it,
     // with room for two bytes of data.
     unsafe {
         let header = libc::CMSG_FIRSTHDR(message);

@@ -5,9 +5,10 @@ use super::map::Id;
 use std::net::Ipv4Addr;
 use std::sync::{Arc, Mutex, PoisonError};
 
+/// A camera's address, subnet mask and gateway.
 pub type Addresses = (Ipv4Addr, Ipv4Addr, Ipv4Addr);
 
-/// Bit of the IP configuration register: persistent address.
+/// Bit of the configuration register: the camera has a persistent address.
 const PERSISTENT: u32 = 1;
 /// Configuration register: link-local address; cannot be switched off.
 const LINK_LOCAL: u32 = 4;
@@ -39,7 +40,7 @@ impl Network {
         Self { now: addresses, away: false, kept: Arc::new(Mutex::new(kept)) }
     }
 
-    /// Of a camera that nobody has given an address.
+    /// The addresses of a camera that was never given one.
     pub fn link_local(address: Ipv4Addr) -> Self {
         let [_, _, c, d] = address.octets();
         let network = Self::new(address);

@@ -6,7 +6,7 @@ use super::gvsp::Layout;
 /// How the sensor's pixels become the image's. By default they are the image's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Picture {
-    /// Column and row of the first pixel that is sent.
+    /// The first column and row of the region.
     pub offset: (u32, u32),
     /// So many columns and rows become one.
     pub step: (u32, u32),
@@ -18,7 +18,7 @@ pub struct Picture {
     pub level: f32,
     /// And raised to this power.
     pub gamma: f32,
-    /// And looked up in a table that somebody loaded.
+    /// The same, looked up in a table that a client has loaded.
     pub lut: bool,
     /// A ramp stands in for the picture.
     pub pattern: bool,
@@ -51,7 +51,8 @@ impl Picture {
         *self == Self::default()
     }
 
-    /// The picture of frame number `number` of an acquisition, exposed `exposure` times as long as its light is meant for.
+    /// The picture of frame number `number` of an acquisition, exposed `exposure` times as long as its light is meant
+    /// for.
     #[must_use]
     pub fn of_frame(self, number: u64, exposure: f64) -> Self {
         let mut level = f64::from(self.level) * exposure;

@@ -21,7 +21,7 @@ pub struct Presence {
 }
 
 impl Presence {
-    /// Switches the camera's power off.
+    /// Switches the camera's power off: it stops answering.
     pub fn power_off(&self) {
         self.dark.store(true, SeqCst);
     }

@@ -21,7 +21,7 @@ use std::time::Instant;
 mod kinds;
 mod values;
 
-/// Where the GenICam XML starts; the URL register says so.
+/// Where the GenICam XML starts; the URL register has this address.
 pub const XML_ADDRESS: u32 = 0x0010_0000;
 /// Where the features begin that are not every GigE Vision camera's.
 const FEATURES: u32 = 0x0001_0000;
@@ -29,9 +29,9 @@ const FEATURES: u32 = 0x0001_0000;
 pub const PACKET_SIZE: std::ops::RangeInclusive<u16> = 576..=65_532;
 /// The packet size must be a multiple of this.
 pub const PACKET_SIZE_STEP: u16 = 4;
-/// Width of the narrowest image, pixels.
+/// Columns of the narrowest image that the camera takes.
 pub const WIDTH_MIN: u32 = 16;
-/// Shortest heartbeat timeout that is accepted, ms.
+/// The shortest heartbeat timeout that the camera accepts, ms.
 const HEARTBEAT_MIN: u32 = 500;
 /// States of PTP, as IEEE 1588 numbers them.
 pub const PTP_STATES: [(&str, u32); 3] = [("Disabled", 3), ("Listening", 4), ("Slave", 9)];
@@ -72,7 +72,7 @@ pub struct Registers {
     clock: Arc<CameraClock>,
     xml: Vec<u8>,
     habits: Habits,
-    /// Of a camera that is like a table says; else its features are those of [`super::map`].
+    /// The make of a camera with a table; else its features are those of [`super::map`].
     firmware: Option<Firmware>,
     /// Of a camera behind a published description; its features are those.
     described: Option<Arc<Described>>,
@@ -84,7 +84,7 @@ pub struct Registers {
     pub privilege: u32,
     /// Who has it ("primary application").
     pub controller: Option<SocketAddrV4>,
-    /// The controller is lost after so many silent milliseconds.
+    /// Milliseconds without a message after which the controller loses control.
     pub heartbeat_ms: u32,
     /// Port the stream goes to; 0 closes the stream.
     pub host_port: u16,
@@ -96,7 +96,7 @@ pub struct Registers {
     pub packet_size: u16,
     /// The stream's packets must not be fragmented.
     pub do_not_fragment: bool,
-    /// Time between two packets, ticks of the camera's clock.
+    /// The gap between two packets, ticks of the clock.
     pub packet_delay: u32,
     /// Width of block and packet ids.
     pub ids: IdMode,
@@ -165,6 +165,7 @@ impl Registers {
         self.network.away = false;
     }
 
+    /// The camera's addresses: those of now and the persistent ones.
     pub fn network(&self) -> &Network {
         &self.network
     }
@@ -177,7 +178,7 @@ impl Registers {
         }
     }
 
-    /// What the payload of an image is, as its features say.
+    /// The form of an image's payload by its features.
     pub fn form(&self) -> Form {
         if let Some(firmware) = &self.firmware {
             return firmware.form(self.habits.power_on);
@@ -219,7 +220,7 @@ impl Registers {
         Ok(bytes)
     }
 
-    /// Writes the one register that starts at `address` with the beginning of `data`; says how many bytes it
+    /// Writes the one register that starts at `address` with the beginning of `data`; returns how many bytes it
     /// took and what follows from it. `acquiring` locks what must not change under a running acquisition.
     ///
     /// # Errors
@@ -383,7 +384,7 @@ impl Registers {
         let settings = &mut self.settings;
         let coded = Status::InvalidParameter;
         match id {
-            // Features with a single value, as their description says.
+            // Features with a single value, by their description.
             Id::StreamConfiguration | Id::OffsetX | Id::OffsetY => accept(value == 0)?,
             Id::ExposureAuto | Id::TriggerActivation => accept(value == 0)?,
             Id::TriggerSelector => {
@@ -456,7 +457,7 @@ impl Registers {
         }
         let Some((register, offset)) = find(address) else { return self.xml_word(address) };
         if matches!(register.id, Id::TickFrequencyHigh | Id::TickFrequencyLow) {
-            // Not every camera says.
+            // Not every camera states it.
             self.habits.frequency()?;
         }
         match register.length {

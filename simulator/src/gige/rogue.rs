@@ -44,6 +44,7 @@ impl Rogue {
         Ok(Self { socket, same_address, camera, statistics, next_id: 1, left: None })
     }
 
+    /// The client's own address and port.
     pub fn address(&self) -> Option<SocketAddrV4> {
         match self.socket.local_addr() {
             Ok(SocketAddr::V4(address)) => Some(address),
@@ -101,7 +102,7 @@ impl Rogue {
         self.tell(Command::ReadRegisters(vec![Id::Privilege.address()]));
     }
 
-    /// Gives control of the camera back.
+    /// Gives the control privilege of the camera back.
     pub fn leave(&mut self) {
         self.left = Some(self.next_id);
         self.tell(Command::WriteRegisters(vec![(Id::Privilege.address(), 0)]));

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 /// Time to read one row out: 1200 rows in 6.13 ms, the 163 Hz of a free-running 1920 x 1200 camera.
 const ROW_READOUT: Duration = Duration::from_nanos(5_110);
 
-/// Time to read an image of so many rows out.
+/// Time to read an image of a number of rows out.
 pub fn readout(rows: u32) -> Duration {
     ROW_READOUT.saturating_mul(rows)
 }
@@ -19,10 +19,9 @@ pub fn shortest_period(exposure: Duration, rows: u32) -> Duration {
     exposure.max(readout(rows))
 }
 
-/// One exposure that the sensor accepted.
+/// An exposure that the sensor has accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Exposure {
-    /// Time at which the exposure begins.
     pub start: Instant,
     /// The shutter closes, and readout and transmission begin.
     pub end: Instant,
@@ -43,7 +42,7 @@ pub struct Sensor {
 }
 
 impl Sensor {
-    /// One that begins to read so long after an exposure.
+    /// A sensor that begins its readout this time after an exposure.
     pub fn new(before_readout: Duration) -> Self {
         Self { before_readout, ..Self::default() }
     }

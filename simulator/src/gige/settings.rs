@@ -36,18 +36,15 @@ macro_rules! coded {
 coded! {
     /// How many frames an acquisition has.
     AcquisitionMode {
-        /// Frames until the acquisition is stopped.
         Continuous = 0,
-        /// One frame, then the acquisition ends.
         SingleFrame = 1,
-        /// As many frames as `AcquisitionFrameCount` holds.
+        /// As many frames as `AcquisitionFrameCount` has.
         MultiFrame = 2,
     }
 }
 
 coded! {
     ExposureMode {
-        /// The exposure time ends it.
         Timed = 0,
         /// The end of the trigger pulse.
         TriggerWidth = 1,
@@ -67,27 +64,22 @@ coded! {
 /// Which of a pulse's edges trigger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Edge {
-    /// The edge at which the pulse begins.
     Rising,
-    /// The edge at which the pulse ends.
     Falling,
-    /// Both edges of the pulse.
     Any,
 }
 
 /// Values of the camera's features.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
-    /// Number of columns that are sent.
     pub width: u32,
-    /// Number of rows that are sent.
     pub height: u32,
+    /// The number of frames of an acquisition.
     pub mode: AcquisitionMode,
     /// Frames of a multi-frame acquisition.
     pub frame_count: u32,
     /// The frame rate governs free running; otherwise the camera runs as fast as it can.
     pub frame_rate_enabled: bool,
-    /// What ends an exposure: time or trigger width.
     pub exposure_mode: ExposureMode,
     /// PFNC code of the pixels.
     pub pixel_format: u32,
@@ -97,7 +89,6 @@ pub struct Settings {
     pub acquisition_triggered: bool,
     /// Exposures start on triggers, not by themselves.
     pub triggered: bool,
-    /// The line or command that triggers a frame.
     pub source: TriggerSource,
     /// Triggers by command start frames, too.
     pub software: bool,
@@ -105,7 +96,7 @@ pub struct Settings {
     pub edge: Edge,
     /// From the edge to the exposure.
     pub delay: Duration,
-    /// Number of frames that one trigger makes.
+    /// The number of frames of one trigger.
     pub burst: u32,
     /// An exposure begins only when the last readout has ended.
     pub apart: bool,
@@ -146,7 +137,7 @@ impl Settings {
         }
     }
 
-    /// The same with an exposure time and a free-running rate that somebody else has checked.
+    /// The same with an exposure time and a free-running rate that the caller has checked.
     #[must_use]
     pub fn with_times(self, exposure_us: f64, frame_rate: f64) -> Self {
         Self { exposure_us: exposure_us.clamp(0.0, 1e9), frame_rate: frame_rate.clamp(1e-3, 1e6), ..self }
@@ -172,16 +163,17 @@ impl Settings {
         self.triggered && self.source == TriggerSource::Action0 && !self.acquisition_triggered
     }
 
-    /// Exposure time in force, microseconds.
+    /// The exposure time as a feature states it, microseconds.
     pub fn exposure_us(&self) -> f64 {
         self.exposure_us
     }
 
+    /// The exposure time as a duration.
     pub fn exposure(&self) -> Duration {
         Duration::from_nanos((self.exposure_us * 1000.0).round() as u64)
     }
 
-    /// Frame rate without a trigger, Hz.
+    /// The frame rate without triggers, Hz.
     pub fn frame_rate(&self) -> f64 {
         self.frame_rate
     }
@@ -191,18 +183,18 @@ impl Settings {
         self.gain_db
     }
 
-    /// Sets the exposure time where it is within limits; says whether it was.
+    /// Sets the exposure time where it is within limits; returns whether it was.
     pub fn set_exposure_us(&mut self, value: f64) -> bool {
         set(&mut self.exposure_us, value, EXPOSURE_US)
     }
 
-    /// Sets the free-running rate where exposure and readout allow it; says whether they do.
+    /// Sets the free-running rate where exposure and readout allow it; returns whether they do.
     pub fn set_frame_rate(&mut self, value: f64) -> bool {
         let fastest = 1.0 / sensor::shortest_period(self.exposure(), self.height).as_secs_f64();
         set(&mut self.frame_rate, value, FRAME_RATE_MIN..=fastest)
     }
 
-    /// Sets the gain where it is within limits; says whether it was.
+    /// Sets the gain where it is within limits; returns whether it was.
     pub fn set_gain_db(&mut self, value: f64) -> bool {
         set(&mut self.gain_db, value, GAIN_DB)
     }

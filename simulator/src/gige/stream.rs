@@ -49,7 +49,7 @@ struct Shot {
     exposure: Exposure,
     /// Camera clock at its start, ns.
     timestamp: u64,
-    /// The instant of the sequence that the frame shows.
+    /// The simulated instant whose light the exposure sees.
     instant: i64,
     /// What goes wrong with it.
     fault: Option<Fault>,
@@ -65,13 +65,13 @@ struct Acquisition {
     /// Exposures that are not sent yet.
     exposures: VecDeque<Shot>,
     next_block_id: u64,
-    /// A frame is sent so long after its exposure.
+    /// Time from the exposure of a frame to its first packet.
     late: Duration,
     /// Instant of the simulated world for exposures that no wire triggers.
     next_instant: i64,
     /// Start of the next free-running exposure.
     next_free_run: Option<Instant>,
-    /// Number of exposures of this acquisition.
+    /// The number of exposures of this acquisition.
     exposed: u64,
     /// Triggers that it still sleeps through.
     asleep: u32,
@@ -84,13 +84,10 @@ struct Acquisition {
 pub struct Streamer {
     /// Orders from the control thread.
     pub orders: Receiver<Order>,
-    /// Edges at the trigger input.
     pub triggers: Receiver<TriggerEdge>,
     pub clock: Arc<CameraClock>,
-    /// The transmitter that sends the frames.
     pub transmitter: Transmitter,
     pub socket: Arc<UdpSocket>,
-    /// Frames that are kept for resend requests.
     pub history: Arc<History>,
     pub statistics: Arc<Statistics>,
     /// Number of the running acquisition, 0 where none runs.
@@ -141,7 +138,7 @@ impl Absence {
 const ROGUE_HEARTBEAT: Duration = Duration::from_millis(500);
 
 impl Streamer {
-    /// Runs until told to quit, or until nobody is left to tell.
+    /// Runs until the order to quit, or until the sender of orders is dropped.
     pub fn run(mut self) {
         let mut acquisition: Option<Acquisition> = None;
         let mut connected = None;
@@ -319,7 +316,7 @@ impl Streamer {
         }
     }
 
-    /// From this edge on nothing is sent, for as many triggers as the fault says. What was exposed before goes out
+    /// From this edge on nothing is sent, for as many triggers as the fault lasts. What was exposed before goes out
     /// first, so that exactly these triggers are lost.
     fn go_away(&mut self, acquisition: &mut Option<Acquisition>, fault: Fault, edge: &TriggerEdge) {
         if let Some(mut running) = acquisition.take() {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Test images that say which camera and which instant they show, in every row.
+//! Test images whose every row has the numbers of the camera and the instant that it shows.
 
 use crate::images::ImageSource;
 
@@ -17,7 +17,7 @@ pub struct TestImages {
     scene: Vec<u8>,
 }
 
-/// What a test image says of itself.
+/// The numbers that a test image carries.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TestStamp {
     /// The camera number given to [`TestImages::new`].
@@ -27,7 +27,7 @@ pub struct TestStamp {
 }
 
 impl TestImages {
-    /// Distinct images where nothing else is asked for.
+    /// Number of distinct images by default.
     pub const DISTINCT: usize = 4096;
 
     /// Images of this size for this camera; `distinct` instants look different, then they repeat. Sizes

@@ -92,7 +92,7 @@ pub struct History {
 }
 
 impl History {
-    /// Room for so many frames.
+    /// Room for a number of frames.
     pub fn new(capacity: usize) -> Self {
         Self { frames: Mutex::new(VecDeque::with_capacity(capacity + 1)), capacity }
     }
@@ -118,7 +118,7 @@ impl History {
         self.lock().iter().rev().find(|(f, _)| f.block_id == block_id).map(|(frame, _)| *frame)
     }
 
-    /// What becomes of requests for this block's packets: answered, unless a fault says otherwise.
+    /// Whether requests for this block's packets are answered: yes, unless a fault prevents it.
     pub fn policy(&self, block_id: u64) -> Resend {
         let frames = self.lock();
         frames

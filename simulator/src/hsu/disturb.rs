@@ -5,7 +5,7 @@ use crate::random::Stream;
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// The distribution of a random delay.
+/// The distribution of the delays of messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Jitter {
@@ -21,11 +21,10 @@ pub enum Jitter {
 pub struct LineFaults {
     /// Makes it repeatable, as far as the bytes and their times are.
     pub seed: u64,
-    /// Every message takes so long.
+    /// The delay of every message at least.
     pub delay: Duration,
     /// And up to so much more, each by itself; messages never overtake each other.
     pub jitter: Duration,
-    /// Distribution of the delay above.
     pub distribution: Jitter,
     /// Bytes out of a million that lose or gain one bit.
     pub flips_per_million: u32,
@@ -112,7 +111,7 @@ impl Disturbance {
         self.held.front().map(|(due, _)| *due)
     }
 
-    /// Number of bytes that are delayed at present.
+    /// Number of bytes that are delayed and not yet delivered.
     pub(super) fn held_bytes(&self) -> usize {
         self.held.iter().map(|(_, bytes)| bytes.len()).sum()
     }

@@ -46,7 +46,7 @@ struct World {
     control: Arc<Control>,
     injector: Option<Injector>,
     shown: Shown,
-    /// What the injector has ordered and nobody has carried out yet.
+    /// What the injector has ordered and is not yet carried out.
     deeds: Vec<Deed>,
 }
 
@@ -97,7 +97,7 @@ impl UnitOutputs for World {
         self.control.late.fetch_add(late, Ordering::Relaxed);
         let instant = self.shown.instant(trigger.number);
         for (camera, (head, _)) in self.cameras.iter().enumerate() {
-            // A camera on a head that is not configured hangs on a dead wire.
+            // A camera on a head that is not configured is on a dead wire.
             let Some(timing) = heads.get(*head) else { continue };
             let time = self.clock.instant(trigger.time_ns.saturating_add(timing.delay_ns));
             let edge = TriggerEdge { instant, time, width_ns: timing.exposure_ns };

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! When the unit and its lines fail, by the plan; and the lines of the truth that say so.
+//! When the unit and its lines fail, by the plan; and the lines of the truth file about it.
 
 use crate::faults::{HsuFaults, HsuKind, HsuPlan, Injected};
 use std::time::{Duration, Instant};
@@ -26,12 +26,11 @@ pub(super) struct Injector {
     last: Option<i64>,
     /// No fault by chance before this trigger.
     clear_until: i64,
-    /// When each running fault ends, and what ends it.
     ends: Vec<(Instant, Deed)>,
 }
 
 impl Injector {
-    /// The injector's state before the first train.
+    /// An injector before the first train begins.
     pub(super) fn new(faults: HsuFaults) -> Self {
         Self { faults, train: 0, last: None, clear_until: 0, ends: Vec::new() }
     }

@@ -20,7 +20,6 @@ pub(super) struct Line {
     ends: Option<(OwnedFd, TTYPort)>,
     link: PathBuf,
     transmit: VecDeque<u8>,
-    /// Whether the line drops everything.
     silent: bool,
     /// What happens to bytes on their way to the host and from it; `None`: nothing.
     faults: Option<Faults>,
@@ -31,7 +30,7 @@ struct Faults {
     delays: bool,
     to_host: Disturbance,
     from_host: Disturbance,
-    /// Disturbed places that nobody has asked for yet.
+    /// Disturbed places that were not yet fetched.
     places: u32,
 }
 
@@ -62,7 +61,7 @@ impl Line {
         }
     }
 
-    /// How many places of what went over the line were disturbed since this was last asked.
+    /// How many places of what went over the line were disturbed since the last call.
     pub(super) fn take_disturbed(&mut self) -> u32 {
         self.faults.as_mut().map_or(0, |faults| std::mem::take(&mut faults.places))
     }

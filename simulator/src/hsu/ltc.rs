@@ -7,7 +7,6 @@ use std::str::FromStr;
 /// What is played, from the moment on in which it begins.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LtcSource {
-    /// Number of the HSU's input that carries the code.
     pub line: u8,
     /// The code of the first frame.
     pub first: TimeCode,
@@ -15,7 +14,7 @@ pub struct LtcSource {
     pub frames_per_second: f64,
 }
 
-/// Parses `LINE[:HH:MM:SS:FF[@FPS]]`, as the command line takes it.
+/// Parses the text `LINE[:HH:MM:SS:FF[@FPS]]` of the option `--ltc`.
 impl FromStr for LtcSource {
     type Err = String;
 
@@ -39,7 +38,7 @@ impl FromStr for LtcSource {
 impl LtcSource {
     /// The code of a frame, from 0.
     fn code(&self, frame: u64) -> Option<TimeCode> {
-        // No day has so many frames.
+        // More frames than a day has.
         let frame = u32::try_from(frame % 90_000_000).ok()?;
         self.first.after(frame, self.frames_per_second.round() as u8)
     }

@@ -41,7 +41,7 @@ impl Default for HsuClock {
     }
 }
 
-/// An [`HsuClock`] and the time at which it began.
+/// An [`HsuClock`] that runs, with the host's time at which it began.
 #[derive(Debug, Clone, Copy)]
 struct RunningClock {
     origin: Instant,
@@ -66,17 +66,16 @@ impl RunningClock {
     }
 }
 
-/// Serial links, clock, inputs and faults of the unit.
+/// The options of a simulated HSU: links, identity, clock and faults.
 #[derive(Debug, Clone)]
 pub struct HsuOptions {
     /// Where to put a link to the serial device of each of the unit's sockets: one or two paths. A link left
     /// behind by an earlier run is replaced; any other file is not.
     pub links: Vec<PathBuf>,
-    /// The trigger wires: the number of the head that each hangs on, and its camera's end.
+    /// The trigger wires: the number of the head that each belongs to, and its camera's end.
     pub cameras: Vec<(usize, Sender<TriggerEdge>)>,
-    /// Who the unit says it is.
+    /// The identity that the unit reports.
     pub identity: Identity,
-    /// Offset and drift of its clock.
     pub clock: HsuClock,
     /// What the serial lines do to what they carry.
     pub line: Option<LineFaults>,

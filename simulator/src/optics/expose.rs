@@ -11,7 +11,6 @@ use rayon::prelude::{IndexedParallelIterator, ParallelIterator, ParallelSlice, P
 #[derive(Debug, Clone, Copy)]
 pub struct Exposure {
     pub seed: u64,
-    /// Number of the simulated instant, which the seed is combined with.
     pub instant: u64,
 }
 

@@ -28,7 +28,7 @@ const BLUR_STEP_PX: f64 = 0.25;
 /// No fringe of 8 px outlives more, px.
 const MOST_BLUR_PX: f64 = 4.0;
 
-/// A Gaussian blur of the projected pattern, as a table.
+/// A Gaussian blur of the panel, as a table.
 struct Blur {
     px: f64,
     reach: usize,
@@ -44,8 +44,8 @@ impl Blur {
 }
 
 impl PanelLight {
-    /// An 8-bit panel image through `black + (1 - black) (value / 255)^gamma`, a pixel's square and Gaussians from `least_px` to
-    /// `most_px`.
+    /// An 8-bit panel image through `black + (1 - black) (value / 255)^gamma`, a pixel's square and Gaussians from
+    /// `least_px` to `most_px`.
     pub fn new(panel: &Plane<u8>, gamma: f64, black: f64, [least_px, most_px]: [f64; 2]) -> Self {
         let steps = ((most_px.min(MOST_BLUR_PX) - least_px) / BLUR_STEP_PX).ceil().max(0.0) as usize;
         let blurs: Vec<Blur> = (0..=steps).map(|k| Blur::new(least_px + k as f64 * BLUR_STEP_PX)).collect();
@@ -148,16 +148,14 @@ fn pixel_share(distance: f64, blur_px: f64) -> f64 {
 
 /// A projector in its place.
 pub struct Lamp {
-    /// True position and lens of the projector.
     pub device: Device,
-    /// The colour channel in which it projects.
     pub channel: Channel,
     /// Its projection centre, world, m.
     pub centre: Point3<f64>,
 }
 
 impl Lamp {
-    /// A projector with this geometry, in this colour channel.
+    /// A projector with this geometry and colour.
     pub fn new(device: Device, channel: Channel) -> Self {
         let centre = device.centre();
         Self { device, channel, centre }

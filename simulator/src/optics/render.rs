@@ -21,7 +21,6 @@ pub struct Exposed<'a> {
     pub lamps: &'a [Lamp],
     /// What each of them shows.
     pub panels: &'a [PanelLight],
-    /// The scenario's optical constants.
     pub optics: &'a Optics,
 }
 
@@ -268,7 +267,7 @@ impl View<'_> {
     }
 
     fn room_light(&self, sight: impl Fn() -> Option<Sight>, pixel: usize) -> f32 {
-        // Less than this many DN of light cannot be told from the noise: not worth a shadow.
+        // Less than this many DN of light cannot be distinguished from the noise: not worth a shadow.
         const FAINT_DN: f32 = 0.02;
         let mut sum = 0.0;
         for (n, (light, &lamp)) in self.room.iter().zip(&self.sensor.lamps).enumerate() {

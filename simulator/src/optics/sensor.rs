@@ -17,17 +17,15 @@ use rayon::prelude::{IndexedParallelIterator, ParallelIterator, ParallelSliceMut
 pub struct Sensor {
     /// Its name in the rig.
     pub id: CameraId,
-    /// True position and lens of the camera.
     pub device: Device,
     /// Number of its head, which is also the number of its projector.
     pub head: usize,
-    /// The colour channel that its filter passes.
     pub channel: Channel,
     /// Numbers of the projectors that its filter lets through; its own first.
     pub lamps: Vec<usize>,
     /// How much of each one's light it lets through.
     pub shares: Vec<f64>,
-    /// Projection centre in world coordinates, m.
+    /// Projection centre in the world's frame, m.
     pub centre: Point3<f64>,
     rotation: Rotation3<f64>,
     /// Normalized coordinates of each pixel; NaN where the distortion has no inverse.
@@ -39,11 +37,11 @@ pub struct Sensor {
 /// A point of the room behind the subject.
 #[derive(Debug, Clone, Copy)]
 pub struct RoomPoint {
-    /// The point in world coordinates, m.
+    /// The point in the world's frame, m.
     pub point: Point3<f64>,
-    /// Unit normal that points towards the volume.
+    /// The unit normal that points towards the volume.
     pub normal: Vector3<f64>,
-    /// Albedo of the surface there, absolute.
+    /// The share of light that is reflected.
     pub albedo: f64,
 }
 
@@ -178,7 +176,7 @@ impl Sensor {
 
 /// What one projector adds to the picture of the empty room.
 pub struct RoomLight {
-    /// Grey value of each pixel, row by row.
+    /// The grey value of each pixel, DN.
     pub dn: Vec<f32>,
     /// Per pixel, the tile of the projector's panel that lights it.
     pub panel_tile: Vec<u32>,

@@ -10,7 +10,6 @@ use std::cell::RefCell;
 /// A ray for many tests: single precision finds the triangle, the caller refines the point.
 #[derive(Debug, Clone, Copy)]
 pub struct FastRay {
-    /// Origin of the ray, m.
     pub origin: [f32; 3],
     /// Where to; any length, which is the unit of the distances.
     pub direction: [f32; 3],
@@ -18,7 +17,7 @@ pub struct FastRay {
 }
 
 impl FastRay {
-    /// A ray from an origin along a direction.
+    /// A ray from its origin in this direction.
     pub fn new(origin: [f32; 3], direction: [f32; 3]) -> Self {
         // A zero component gives an infinite inverse; the tiny number keeps 0 * infinity out of the slabs.
         let inverse = direction.map(|d| 1.0 / if d.abs() < 1e-20 { 1e-20 } else { d });
@@ -171,7 +170,7 @@ impl Bvh {
         })
     }
 
-    /// Visits the triangles of all leaves that the ray crosses, near ones first, until `visit` says so.
+    /// Visits the triangles of all leaves that the ray crosses, near ones first, until `visit` ends it.
     fn walk(
         &self,
         ray: &FastRay,
@@ -317,7 +316,7 @@ fn append(nodes: &mut Vec<Node>, subtree: &[Node]) {
     nodes.extend(subtree.iter().map(moved));
 }
 
-/// Reorders the items and says where the right child begins: at the cheapest of the bins' borders along the
+/// Reorders the items and returns where the right child begins: at the cheapest of the bins' borders along the
 /// longest axis of the centres, or in the middle where there is none.
 fn split(items: &mut [Item], depth: usize) -> usize {
     let mut centres = Bounds::EMPTY;

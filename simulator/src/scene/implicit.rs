@@ -26,7 +26,7 @@ pub struct RoundedCone {
 /// What a cone is made of, in its rest pose.
 #[derive(Debug, Clone, Copy)]
 pub struct ConeShape {
-    /// Centres of the two balls, m.
+    /// The centres of the two balls, m.
     pub ends: [[f64; 3]; 2],
     /// Ball radii before flattening, m.
     pub radii: [f64; 2],

@@ -33,7 +33,7 @@ type Flesh = (Bone, u8, [[f64; 3]; 2], [f64; 2], [f64; 3]);
 
 const ROUND: [f64; 3] = [1.0, 1.0, 1.0];
 
-/// Flesh on the midline of the trunk.
+/// Parts of the body on its midline.
 const MIDDLE: [Flesh; 9] = [
     (Bone::Pelvis, TRUNK, [[-0.01, 0.0, 0.91], [-0.012, 0.0, 1.0]], [0.166, 0.152], [0.66, 1.0, 0.7]),
     (Bone::Spine, TRUNK, [[-0.012, 0.0, 1.0], [-0.008, 0.0, 1.12]], [0.148, 0.13], [0.7, 1.0, 0.6]),

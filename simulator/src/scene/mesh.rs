@@ -6,13 +6,12 @@ use std::collections::HashMap;
 /// A triangle mesh in world coordinates, metres; vertices of a triangle counter-clockwise from outside.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Mesh {
-    /// Positions of the vertices, m.
+    /// Positions of the vertices, world, m.
     pub positions: Vec<[f32; 3]>,
     /// Outward unit normals per vertex, for shading.
     pub normals: Vec<[f32; 3]>,
     /// Albedo per vertex relative to the subject's (1: the same).
     pub albedo: Vec<f32>,
-    /// Three vertex numbers for each triangle.
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -22,7 +21,7 @@ impl Mesh {
         self.triangles[t].map(|vertex| self.positions[vertex as usize])
     }
 
-    /// Makes it so many times as large, about a point of the floor, m.
+    /// Scales it by a factor, about a point of the floor, m.
     pub fn scale(&mut self, [x, y]: [f64; 2], times: f64) {
         let about = [x as f32, y as f32, 0.0];
         for position in &mut self.positions {

@@ -29,7 +29,7 @@ pub struct MeshSolid {
 }
 
 impl MeshSolid {
-    /// Builds the hierarchy of bounding boxes over a mesh.
+    /// Builds the bounding-volume hierarchy of a mesh.
     pub fn new(mesh: Mesh) -> Self {
         let bvh = Bvh::build(&mesh);
         Self { mesh, bvh }
@@ -89,6 +89,7 @@ impl Solid {
         }
     }
 
+    /// The surface of the solid as triangles.
     pub fn mesh(&self) -> Mesh {
         match self {
             Self::Mesh(mesh) => mesh.mesh.clone(),
@@ -102,7 +103,6 @@ impl Solid {
 /// Everything but the room, at one moment.
 #[derive(Debug, Clone, Default)]
 pub struct Scene {
-    /// The solids, in any order.
     pub solids: Vec<Solid>,
 }
 

@@ -25,16 +25,12 @@ pub enum Paint {
     },
     /// Lines and blots without a direction, about 4 mm wide.
     Lines {
-        /// Albedo of the lines, relative to the skin's.
+        /// Their albedo as a share of the surface's.
         dark: f64,
-        /// Seed that decides where the lines are.
         seed: u64,
     },
     /// Skin and cloth seen closely: hairs of a millimetre's width, moles, a weave of 3 mm.
-    Skin {
-        /// Seed that decides where the spots are.
-        seed: u64,
-    },
+    Skin { seed: u64 },
 }
 
 /// The paint's name in a scenario.

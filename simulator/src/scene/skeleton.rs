@@ -28,6 +28,7 @@ pub enum Bone {
     FootR,
 }
 
+/// Number of bones of the mannequin's skeleton.
 pub const BONES: usize = 17;
 
 /// Parent and rest position of the joint that a bone turns about, in the order of [`Bone`]; parents first.

@@ -24,7 +24,7 @@ impl Sight {
 /// Where a line of sight meets a surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
-    /// Distance along the line, m.
+    /// Distance along the line of sight, m.
     pub distance: f64,
     /// Unit normal for shading, outward.
     pub normal: Vector3<f64>,
@@ -32,11 +32,12 @@ pub struct Hit {
     pub albedo: f64,
 }
 
+/// A ball at rest in the volume.
 #[derive(Debug, Clone, Copy)]
 pub struct Sphere {
-    /// Centre in world coordinates, m.
+    /// Its centre in the world's frame, m.
     pub centre: Point3<f64>,
-    /// Radius of the ball, m.
+    /// In metres, as all lengths of scenes.
     pub radius: f64,
 }
 
@@ -61,9 +62,9 @@ impl Sphere {
 pub struct Cylinder {
     /// Centre of the lower end, world, m.
     pub foot: Point3<f64>,
-    /// Radius of the cylinder, m.
+    /// In metres, as all lengths of scenes.
     pub radius: f64,
-    /// Height of the cylinder, m.
+    /// In metres, as all lengths of scenes.
     pub height: f64,
 }
 
@@ -105,13 +106,13 @@ pub struct Rectangle {
 }
 
 impl Rectangle {
-    /// The rig's calibration board, with its circles.
+    /// The calibration board of the rig, at this pose.
     pub fn board(board: &Board, black: f64, back: f64, world_from_board: Isometry3<f64>) -> Self {
         let half_m = [board.width_m / 2.0, board.height_m / 2.0];
         Self { world_from_board, half_m, back, circles: Some((board.clone(), black)) }
     }
 
-    /// The first point on the line between `from` and `to`.
+    /// The nearest point on the line of sight between `from` and `to`, m.
     pub fn intersect(&self, sight: &Sight, from: f64, to: f64) -> Option<Hit> {
         let o = self.world_from_board.inverse_transform_point(&sight.origin);
         let d = self.world_from_board.inverse_transform_vector(&sight.direction);
@@ -154,7 +155,7 @@ impl Rectangle {
         if (x - cx).hypot(y - cy) <= radius { *black } else { 1.0 }
     }
 
-    /// The board's face as two triangles.
+    /// The surface as a mesh of two triangles.
     pub fn mesh(&self) -> Mesh {
         let [x, y] = self.half_m;
         let corners = [[-x, -y], [x, -y], [x, y], [-x, y]];

@@ -22,7 +22,6 @@ use std::f64::consts::{PI, TAU};
 pub struct Section {
     /// Its name, when its girth is measured.
     pub name: Option<String>,
-    /// Height above the floor, m.
     pub height_m: f64,
     /// a: half of its size forwards, m.
     pub half_depth_m: f64,
@@ -49,9 +48,7 @@ const CORNERS: usize = 40_000;
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Girth {
     pub name: String,
-    /// Height above the floor, m.
     pub height_m: f64,
-    /// Length of the outline, mm.
     pub girth_mm: f64,
     /// Of its convex hull, mm: what a tape measures.
     pub hull_mm: f64,
@@ -102,6 +99,7 @@ impl Torso {
         self.sections.iter().filter_map(girth).collect()
     }
 
+    /// The surface of the torso as triangles.
     pub fn mesh(&self) -> Mesh {
         let (low, high) = (self.sections[0].height_m, self.sections[self.sections.len() - 1].height_m);
         let rings = ((high - low) * RINGS_PER_M).ceil() as usize;

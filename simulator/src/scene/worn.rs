@@ -21,10 +21,11 @@ pub enum Worn {
 const PLEATS: usize = 28;
 
 impl Worn {
-    /// The garments by the names that scenarios use.
+    /// The garments, with their names in scenario files.
     pub const NAMES: [(&'static str, Worn); 3] =
         [("nothing", Worn::Nothing), ("rod", Worn::Rod), ("skirt", Worn::Skirt)];
 
+    /// Whether the subject wears nothing at all.
     pub fn is_nothing(&self) -> bool {
         *self == Worn::Nothing
     }

@@ -197,7 +197,7 @@ fn light_of(
     reference: Reference<'_>,
 ) -> Result<Light, Failure> {
     let fail = |why: String| Failure::new(Exit::Usage, format!("photograph {trigger} of {camera}: {why}"));
-    let damaged = |why: String| Failure { exit: Exit::Corrupt, ..fail(why) };
+    let damaged = |why: String| Failure::corrupt(fail(why).message);
     let light = match images.frame(camera, TriggerIndex(trigger)).map_err(damaged)? {
         Frame::Image(image) => Light::measure(truth, image, reference),
         Frame::Owned(image) => Light::measure(truth, Mono8::from(&image), reference),

@@ -53,6 +53,31 @@ impl Fault {
     pub fn new(exit: Exit, message: impl ToString) -> Self {
         Self { exit: exit as u8, message: message.to_string() }
     }
+
+    /// Wrong usage or configuration: exit code 2.
+    pub fn usage(message: impl ToString) -> Self {
+        Self::new(Exit::Usage, message)
+    }
+
+    /// Corrupt data, or a verification that failed: exit code 4.
+    pub fn corrupt(message: impl ToString) -> Self {
+        Self::new(Exit::Corrupt, message)
+    }
+
+    /// A device or a link that failed: exit code 5.
+    pub fn device(message: impl ToString) -> Self {
+        Self::new(Exit::Device, message)
+    }
+
+    /// Any other failure: exit code 1.
+    pub fn failed(message: impl ToString) -> Self {
+        Self::new(Exit::Failure, message)
+    }
+
+    /// A failure of the file system at this path: exit code 1.
+    pub fn at(path: &Path, error: impl Display) -> Self {
+        Self::failed(format!("{}: {error}", path.display()))
+    }
 }
 
 impl From<String> for Fault {

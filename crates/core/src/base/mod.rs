@@ -18,8 +18,10 @@ pub mod json;
 pub mod print;
 /// Files of other programs: regular, of a bounded size, without waiting.
 pub mod regular;
+mod scratch;
 /// The host's clocks: time of day and monotonic time.
 pub mod time;
 
 pub use atomic_file::{STALE, remove_stale, write_new, write_whole, write_whole_cached};
 pub use fault::{Exit, Fault, FileError};
+pub use scratch::Scratch;

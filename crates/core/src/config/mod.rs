@@ -26,7 +26,7 @@ pub use trigger::{ACTION_COMMANDS, ActionConfig, TriggerSource};
 pub use words::{AUTO, CameraWords, Edge, FEATURES_OF_WORDS, PacketDelay, word_of};
 pub use worker::{Order, Output, WorkerConfig, WorkerNode};
 
-use crate::base::regular;
+use crate::base::{Fault, regular};
 use std::cell::RefCell;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -70,6 +70,12 @@ impl fmt::Display for ConfigError {
 }
 
 impl std::error::Error for ConfigError {}
+
+impl From<ConfigError> for Fault {
+    fn from(error: ConfigError) -> Self {
+        Self::usage(error)
+    }
+}
 
 /// Reads a TOML file into a table.
 pub fn read_table(path: &Path) -> Result<toml::Table, ConfigError> {

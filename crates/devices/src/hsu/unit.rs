@@ -128,6 +128,21 @@ impl Hsu {
         &self.welcome.identity
     }
 
+    /// Product, serial number and firmware in one line, for people.
+    pub fn identity_text(&self) -> String {
+        let Identity { name, firmware: [major, minor, patch], .. } = self.identity();
+        format!("{name} {} firmware {major}.{minor}.{patch}", self.unique_id())
+    }
+
+    /// The unit's serial number: as text where it is printable ASCII, in hexadecimal otherwise.
+    pub fn unique_id(&self) -> String {
+        let id = self.identity().unique_id;
+        match std::str::from_utf8(&id) {
+            Ok(text) if text.chars().all(|c| c.is_ascii_graphic()) => text.to_owned(),
+            _ => id.iter().map(|byte| format!("{byte:02x}")).collect(),
+        }
+    }
+
     /// The unit's answer to the greeting.
     pub fn welcome(&self) -> &Welcome {
         &self.welcome

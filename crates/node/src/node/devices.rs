@@ -287,7 +287,7 @@ impl Devices {
         match self.unit.connect(&self.config.node, &HsuTimeouts::default()) {
             Ok(hsu) => {
                 let device = self.config.trigger.device();
-                tracing::info!(device = %device.display(), identity = identity_text(&hsu), "HSU connected");
+                tracing::info!(device = %device.display(), identity = hsu.identity_text(), "HSU connected");
                 self.hsu = Some(Arc::new(hsu));
                 self.hsu_problem = None;
                 Ok(())
@@ -506,25 +506,9 @@ impl Devices {
     pub fn hsu_status(&self) -> HsuStatus {
         HsuStatus {
             device: self.config.trigger.device(),
-            identity: self.hsu.as_deref().map(identity_text),
+            identity: self.hsu.as_deref().map(Hsu::identity_text),
             problem: self.hsu_problem.clone(),
         }
-    }
-}
-
-/// Product, unit and firmware, for people.
-fn identity_text(hsu: &Hsu) -> String {
-    let identity = hsu.identity();
-    let [major, minor, patch] = identity.firmware;
-    format!("{} {} firmware {major}.{minor}.{patch}", identity.name, unique_id(hsu))
-}
-
-/// The unit's serial number: as text where it is one, in hexadecimal otherwise.
-pub fn unique_id(hsu: &Hsu) -> String {
-    let id = hsu.identity().unique_id;
-    match std::str::from_utf8(&id) {
-        Ok(text) if text.chars().all(|c| c.is_ascii_graphic()) => text.to_owned(),
-        _ => id.iter().map(|byte| format!("{byte:02x}")).collect(),
     }
 }
 

@@ -2,7 +2,7 @@
 //! The steps of preparation that touch devices and disk, and what undoes them.
 
 use super::camera_keeper::{Report, counters_text};
-use super::devices::{PreparedCamera, unique_id};
+use super::devices::PreparedCamera;
 use super::event_kind::EventKind;
 use super::hold::held_sets;
 use super::hsu_keeper::{HsuKeeper, LinkSetup};
@@ -49,7 +49,7 @@ impl Node {
             rig_text: self.config.rig_text.clone(),
             cameras: session.cameras.iter().map(camera).collect(),
             hsu: self.devices.hsu().map(|hsu| HsuIdentity {
-                uid: unique_id(hsu),
+                uid: hsu.unique_id(),
                 firmware: hsu.identity().firmware.map(|n| n.to_string()).join("."),
                 protocol: u32::from(hsu.welcome().agreed),
             }),

@@ -13,10 +13,10 @@ use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// One of so many segments is verified before it goes: reading and checking 2 GiB takes two seconds of a core.
+/// One of this number of segments is verified before it goes: reading and checking 2 GiB takes two seconds of a core.
 const VERIFY_ONE_IN: u64 = 25;
 
-/// What was removed while the node recorded.
+/// Segments that were removed, and how many of them were verified before.
 #[derive(Debug, Default)]
 pub struct Dropped {
     segments: u64,
@@ -26,7 +26,7 @@ pub struct Dropped {
 }
 
 impl Dropped {
-    /// Adds its figures to the summary.
+    /// Adds its figures to the summary of a benchmark.
     pub fn report(&self, summary: &mut Map<String, Value>, suffix: &str) -> Result<(), Failure> {
         insert(summary, &format!("segments_dropped{suffix}"), self.segments);
         insert(summary, &format!("segments_verified{suffix}"), self.verified);
@@ -42,7 +42,7 @@ impl Dropped {
     }
 }
 
-/// Removes closed segments below `sessions` until told to stop.
+/// Removes closed segments below `sessions` until it is stopped.
 pub fn drop_segments(args: &Args, sessions: &Path, stop: &AtomicBool) -> Dropped {
     let mut dropped = Dropped::default();
     while !stop.load(Ordering::Acquire) {

@@ -24,7 +24,7 @@ pub struct Program {
 }
 
 impl Program {
-    /// Starts it; what it says on standard error goes to `NAME.log` in `logs`.
+    /// Starts it; its standard error goes to `NAME.log` in `logs`.
     pub fn start(name: &'static str, command: &mut Command, logs: &Path) -> Result<Self, Failure> {
         let path = logs.join(format!("{name}.log"));
         let log = File::create(&path).map_err(|e| failed(format!("{}: {e}", path.display())))?;
@@ -45,7 +45,7 @@ impl Program {
         Usage::of(self.child.id())
     }
 
-    /// Whether the process has ended.
+    /// Whether the process has ended by itself.
     pub fn ended(&mut self) -> bool {
         !matches!(self.child.try_wait(), Ok(None))
     }
@@ -85,7 +85,6 @@ impl Drop for Program {
 /// Processor time so far, seconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Usage {
-    /// Processor time in user mode, seconds.
     pub user_s: f64,
     /// In the kernel on its behalf.
     pub system_s: f64,
@@ -116,7 +115,7 @@ impl Usage {
         Self { user_s: sum(&[0, 1]), system_s: sum(&[2, 5, 6, 7]) }
     }
 
-    /// Processor time in user and system mode, seconds.
+    /// Processor time of user and system together, s.
     pub fn total_s(self) -> f64 {
         self.user_s + self.system_s
     }
@@ -150,15 +149,15 @@ pub struct Reading {
 /// Cores in use on average between two readings.
 #[derive(Debug, Clone)]
 pub struct Cores {
-    /// Time between the two readings, seconds.
     pub seconds: f64,
+    /// The use of each program, in the order given.
     pub programs: Vec<Usage>,
     /// By everything else on the host.
     pub others: f64,
 }
 
 impl Reading {
-    /// Reads the counters of these programs.
+    /// Reads the processor times of these programs now.
     pub fn of(programs: &[&Program]) -> Self {
         let programs = programs.iter().map(|program| program.usage()).collect();
         Self { at: Instant::now(), host: Usage::of_host(), programs }

@@ -14,13 +14,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-/// Frames, losses and costs of one train.
+/// The figures that were measured in one train.
 pub struct Train {
-    /// Trigger rate of the train, Hz.
     pub rate_hz: f64,
-    /// Length of the train, seconds.
     pub duration_s: f64,
-    /// Frames expected: triggers times cameras.
     pub expected: u64,
     /// Complete frames in the file.
     pub recorded: u64,
@@ -28,13 +25,12 @@ pub struct Train {
     pub high_water: u64,
     /// Latencies of the writer by the key's name, ms; null where the recorder does not tell.
     pub latencies: Vec<(&'static str, Value)>,
-    /// Processors that recorder and simulator kept busy.
     pub cores: Cores,
     /// GB of pixels per second of the measured time.
     pub gb_per_s: f64,
-    /// Load average of the host before the train.
+    /// The load average of the host before the train.
     pub load_average: f64,
-    /// What the recorder says besides.
+    /// Further figures that the recorder reports.
     pub details: Value,
 }
 
@@ -50,7 +46,6 @@ pub struct Laboratory {
     program: Program,
     pub config: PathBuf,
     url: String,
-    /// Folder into which the node records.
     pub sessions: PathBuf,
 }
 
@@ -90,10 +85,10 @@ pub fn remove(path: &Path) -> Result<(), Failure> {
     }
 }
 
-/// The way in which a session ends.
+/// The condition at which a session ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum End {
-    /// After the number of triggers asked for: the node refuses when the disk cannot hold them.
+    /// After the requested number of triggers: the node refuses when the disk cannot hold them.
     Counted,
     /// By its operator, who stops it once there were enough: for more than the disk can hold at a time.
     Stopped,

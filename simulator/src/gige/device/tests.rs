@@ -30,7 +30,7 @@ struct Packet {
     body: Vec<u8>,
 }
 
-/// A complete image and its block id.
+/// An image whose packets have all arrived.
 struct Image {
     timestamp: u64,
     pixels: Vec<u8>,

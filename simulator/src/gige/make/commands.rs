@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a command writes, and what its register says afterwards: not every one tells when it is done.
+//! The value that executes a command, and what its register holds afterwards: not every one shows when it is done.
 
 use super::Make;
 use super::table::{CommandValue, Feature, Table};
@@ -7,7 +7,7 @@ use super::table::{CommandValue, Feature, Table};
 /// The selector whose value some commands write.
 const SETS: &str = "UserSetSelector";
 
-/// What a command's register says after it was written.
+/// The content of a command's register after it was written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Echo {
     /// What was written, until it is done; 0 from then on.
@@ -19,13 +19,12 @@ pub enum Echo {
 /// What is written to execute a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Written {
-    /// The register always holds this value.
     Always(u32),
     /// The value of this feature, whatever it is now.
     Of(usize),
 }
 
-/// The value that executes a command of this table.
+/// The value whose writing executes a command.
 pub fn written(table: &Table, feature: &Feature) -> Written {
     match &feature.command_value {
         CommandValue::Fixed(value) => Written::Always(*value),
@@ -36,8 +35,8 @@ pub fn written(table: &Table, feature: &Feature) -> Written {
     }
 }
 
-/// What a command's register says: 0 is what a register says anyway, and what is no switch of a few bits is a number that
-/// stays where it was put.
+/// The content of a command's register: 0 is what any register holds, and what is no switch of a few bits is a number
+/// that stays where it was put.
 pub fn echo(table: &Table, feature: &Feature) -> Echo {
     let sets = feature.name.starts_with("UserSet");
     match written(table, feature) {
@@ -49,12 +48,12 @@ pub fn echo(table: &Table, feature: &Feature) -> Echo {
 }
 
 impl Make {
-    /// The value that executes this command.
+    /// The value whose writing executes a command.
     pub(super) fn written(&self, index: usize) -> Written {
         written(&self.table, &self.table.features[index])
     }
 
-    /// What a command's register says.
+    /// The content of a command's register.
     pub(super) fn echo(&self, index: usize) -> Echo {
         echo(&self.table, &self.table.features[index])
     }

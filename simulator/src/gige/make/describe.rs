@@ -10,7 +10,7 @@ use super::rules;
 use super::table::{Access, Bound, Feature, Kind};
 use std::fmt::Write;
 
-/// The GenICam description of a camera, as XML.
+/// The GenICam description of a make, XML.
 pub fn xml(make: &Make) -> String {
     let table = &make.table;
     let mut xml = String::new();
@@ -159,7 +159,7 @@ impl Node<'_> {
         }
     }
 
-    /// What firmware says of the feature.
+    /// The firmware's words on the feature.
     fn said(&mut self, float: bool) {
         let (index, name) = (self.index, self.feature.name.clone());
         if matches!(self.feature.kind, Kind::Integer | Kind::Float) {
@@ -296,7 +296,7 @@ impl Node<'_> {
     }
 }
 
-/// The kind of register that a feature has.
+/// The form of a feature's register in the description.
 struct Form {
     access: Access,
     bits: Option<(u8, u8)>,

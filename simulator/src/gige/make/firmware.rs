@@ -36,6 +36,7 @@ impl Value {
 /// A feature, and the values of its selectors when it was set.
 type Key = (usize, Vec<i64>);
 
+/// The values of all features of one camera, and the rules of its firmware.
 #[derive(Debug)]
 pub struct Firmware {
     pub(super) make: Arc<Make>,
@@ -47,7 +48,7 @@ pub struct Firmware {
     saved: BTreeMap<i64, BTreeMap<Key, Value>>,
     /// Commands that are not done yet.
     pending: Vec<(usize, Instant)>,
-    /// What the registers of commands say that keep what was written.
+    /// The contents of registers of commands that keep what was written.
     echoes: BTreeMap<usize, u32>,
     acquiring: bool,
     /// Exposure that is used where it is not the one that is read back.
@@ -78,11 +79,12 @@ impl Firmware {
         firmware
     }
 
+    /// The GenICam description of this camera, XML.
     pub fn description(&self) -> String {
         describe::xml(&self.make)
     }
 
-    /// What its register of the manufacturer says.
+    /// The content of its register of the manufacturer.
     pub fn vendor(&self) -> String {
         self.make.table.vendor.chars().filter(char::is_ascii_graphic).take(31).collect()
     }
@@ -91,8 +93,8 @@ impl Firmware {
         &self.make.table.features[index]
     }
 
-    /// Every combination of entries of a feature's selectors that are enumerations; of the first one only `place`, where
-    /// it is given. Selectors that are integers count as they stand.
+    /// Every combination of entries of a feature's selectors that are enumerations; of the first one only `place`,
+    /// where it is given. Selectors that are integers count as they stand.
     fn all_keys(&self, index: usize, place: Option<usize>) -> Vec<Vec<i64>> {
         const MOST: usize = 10_000;
         let counts =
@@ -351,7 +353,7 @@ impl Firmware {
                 (self.said(index, what), at)
             }
             Place::Value(index, at) if known(&index) => {
-                // A number that was put into a register can be read, whatever its description says.
+                // A number that was put into a register can be read, whatever its description states.
                 let kept =
                     self.feature(index).kind == Kind::Command && self.make.echo(index) == Echo::ForEver;
                 let hidden = match self.feature(index).can_be_read {
@@ -404,7 +406,7 @@ impl Firmware {
         }
     }
 
-    /// Writes the feature that lies at `address`; says how many bytes it took and what follows.
+    /// Writes the feature that lies at `address`; returns how many bytes it took and what follows.
     ///
     /// # Errors
     /// No feature, or what keeps it from taking the value; it keeps what it had.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Pixel formats by the names that cameras give them: codes of the PFNC and of GigE Vision 1.
 
-/// Name and code; a code says how many bits a pixel has, and whether it has a colour.
+/// Name and code; a code has the number of bits of a pixel, and whether it has a colour.
 const CODES: &[(&str, u32)] = &[
     ("Mono8", 0x0108_0001),
     ("Mono10", 0x0110_0003),

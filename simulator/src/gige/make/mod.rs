@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A camera of any make: description, registers and firmware made from a table of its features.
 //!
-//! [`table`] is what descriptions show, [`rules`] what firmware does besides, [`places`] where registers lie. [`describe`]
-//! writes the GenICam description; [`firmware`] holds values and refuses them; [`working`] says what they come to.
+//! [`table`] is what descriptions show, [`rules`] what firmware does besides, [`places`] where registers lie.
+//! [`describe`] writes the GenICam description; [`firmware`] holds values and refuses them; [`working`] derives their
+//! effect.
 
 mod commands;
 mod describe;
@@ -92,7 +93,8 @@ impl Make {
         Self::new(Table::load(path)?).map_err(|e| TableError(format!("{}: {e}", path.display())))
     }
 
-    /// Reads the tables `[[habit]]` of a TOML text that say which camera is like which table's; files are relative to `dir`.
+    /// Reads the tables `[[habit]]` of a TOML text that say which camera is like which table's; files are relative to
+    /// `dir`.
     ///
     /// # Errors
     /// Text that is no TOML, and what is wrong with a table, a line or what was left over.
@@ -164,7 +166,7 @@ impl Make {
                 Some(found.ok_or_else(|| wrong(format!("no selector of {feature} has the entry {entry}")))?);
         }
         if self.links[index].is_some() {
-            return Err(wrong("a register of the network, which nobody leaves behind".to_owned()));
+            return Err(wrong("a register of the network, which no user leaves behind".to_owned()));
         }
         let value = self.parse(index, value).map_err(wrong)?;
         self.left_over.push((index, place, value));
@@ -194,12 +196,12 @@ impl Make {
         }
     }
 
-    /// Vendor and model, as its registers say.
+    /// Vendor and model, as its registers have them.
     pub fn names(&self) -> (&str, &str) {
         (&self.table.vendor, &self.table.model)
     }
 
-    /// How its clock counts: cameras of SFNC 2 in ns, others in ticks of 8 ns, unless a habit says something else.
+    /// How its clock counts: cameras of SFNC 2 in ns, others in ticks of 8 ns, unless a habit sets something else.
     pub fn clock(&self, habit: ClockHabit) -> ClockHabit {
         let nanoseconds =
             ["TimestampLatchValue", "Timestamp"].iter().any(|name| self.table.find(name).is_some());
@@ -209,6 +211,7 @@ impl Make {
         }
     }
 
+    /// The table with the features of this make.
     pub fn table(&self) -> &Table {
         &self.table
     }

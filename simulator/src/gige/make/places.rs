@@ -9,19 +9,19 @@ use crate::gige::registers::EXTENDED_IDS_BIT;
 const FEATURES: u32 = 0x0002_0000;
 /// Bytes from one feature's register to the next one's: as many as a text has.
 pub const STRIDE: u32 = 0x40;
-/// Where what the firmware says of each feature begins: smallest and largest value, increment, state.
+/// Where the firmware's words on each feature begin: smallest and largest value, increment, state.
 const LIMITS: u32 = 0x0006_0000;
 /// Most features of a make.
 pub const MOST: usize = 4096;
 
-/// A word of what the firmware says of a feature.
+/// A word of the firmware's state of a feature.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Said {
     /// Its smallest value, 8 bytes.
     Min,
     /// Its largest value, 8 bytes.
     Max,
-    /// Increment of the feature, 8 bytes.
+    /// The feature's increment, in 8 bytes.
     Inc,
     /// Its state, 4 bytes: the bits below.
     State,
@@ -95,11 +95,10 @@ pub fn find(address: u32) -> Option<Place> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Link {
     pub address: u32,
-    /// Length of the register, bytes.
+    /// Number of bytes of the place.
     pub length: u32,
     /// The bits it has of it, the most significant being 0; all where there is none.
     pub bits: Option<(u8, u8)>,
-    /// Whether clients may write it.
     pub writable: bool,
     /// For a command: what is written.
     pub command: u32,

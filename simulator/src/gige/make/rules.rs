@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What firmware does that no description tells: plausible rules by names of features, each with its reason.
 //!
-//! A table says that something can lock a feature, hide it or bound it, not what. Here it is decided, once for all makes.
+//! A table states that something can lock a feature, hide it or bound it, not what. Here it is decided, once for all
+//! makes.
 
 use super::formats;
 use super::table::{Access, Bound, Feature, Kind, Table};
@@ -25,7 +26,7 @@ pub enum Lock {
 }
 
 /// The image's size, what it is made of and how it is packed: the receiver's buffers and the header of every frame rest
-/// on them, so that all firmware keeps them while it acquires, whatever the description says.
+/// on them, so that all firmware keeps them while it acquires, whatever the description states.
 const GEOMETRY: &[&str] = &[
     "Width",
     "Height",
@@ -40,13 +41,13 @@ const GEOMETRY: &[&str] = &[
     "AcquisitionMode",
     "AcquisitionFrameCount",
 ];
-/// Of these the description must say that something locks them: some firmware moves a region while it acquires, or
+/// For these the description must state that something locks them: some firmware moves a region while it acquires, or
 /// mirrors it.
 const SOMETIMES: &[&str] =
     &["OffsetX", "OffsetY", "ReverseX", "ReverseY", "TriggerMode", "TestPattern", "TestImageSelector"];
 /// Names of the exposure time, the first of which a camera has being the one that the others are derived from.
 pub const EXPOSURE: &[&str] = &["ExposureTime", "ExposureTimeAbs", "ExposureTimeRaw"];
-/// Names that cameras use for the gain.
+/// The names under which makes have the gain.
 pub const GAIN: &[&str] = &["Gain", "GainRaw"];
 /// Names of the frame rate.
 pub const FRAME_RATE: &[&str] = &["AcquisitionFrameRate", "AcquisitionFrameRateAbs"];
@@ -59,7 +60,7 @@ pub const GAMMA_ENABLE: &[&str] = &["GammaEnable", "GammaEnabled"];
 /// Names of the picture that replaces the sensor's.
 pub const TEST_PATTERN: &[&str] = &["TestPattern", "TestImageSelector", "IRTestPattern"];
 
-/// The state in which a feature is locked.
+/// The condition under which a feature cannot be written.
 pub fn lock(feature: &Feature) -> Lock {
     let name = feature.name.as_str();
     if GEOMETRY.contains(&name) {
@@ -68,7 +69,7 @@ pub fn lock(feature: &Feature) -> Lock {
     if !feature.locked_by {
         return Lock::Never;
     }
-    // While an automatic function sets a value, writing it would be in vain: a description that says "lockable" means it.
+    // While an automatic function sets a value, writing it would be in vain: a description with "lockable" means it.
     if EXPOSURE.contains(&name) {
         return Lock::Auto("ExposureAuto");
     }
@@ -80,7 +81,8 @@ pub fn lock(feature: &Feature) -> Lock {
     if sets || SOMETIMES.contains(&name) {
         return Lock::Acquiring;
     }
-    // A stop and a trigger are made for running acquisitions; the others that can be locked are what the transport is made of.
+    // A stop and a trigger are made for running acquisitions; the others that can be locked are what the transport is
+    // made of.
     match feature.kind {
         Kind::Command => Lock::Never,
         _ if name.starts_with("GevSC") || name.starts_with("Stream") || name.starts_with("DeviceLink") => {
@@ -90,7 +92,7 @@ pub fn lock(feature: &Feature) -> Lock {
     }
 }
 
-/// The feature and its values that a feature needs to be there, where the description says that it can be away.
+/// The feature and its values that a feature needs to be there, where the description states that it can be away.
 pub fn needs(feature: &Feature) -> Option<(&'static [&'static str], &'static [&'static str])> {
     if !feature.available_if {
         return None;
@@ -100,7 +102,7 @@ pub fn needs(feature: &Feature) -> Option<(&'static [&'static str], &'static [&'
         return Some((&["TriggerMode"], &["On"]));
     }
     match feature.name.as_str() {
-        // A trigger by command makes sense to who has asked for one.
+        // A trigger by command makes sense only where one was selected.
         "TriggerSoftware" => Some((&["TriggerSource"], &["Software", "SoftTrigger"])),
         // Its length is the pulse's, in the other mode.
         "ExposureTime" | "ExposureTimeAbs" | "ExposureTimeRaw" => Some((&["ExposureMode"], &["Timed"])),
@@ -112,8 +114,8 @@ pub fn needs(feature: &Feature) -> Option<(&'static [&'static str], &'static [&'
     }
 }
 
-/// Whether this model of the family has a feature. Tables name what any model of a family has; those that have `Mono8` are
-/// simulated as the grey one with an area sensor.
+/// Whether this model of the family has a feature. Tables name what any model of a family has; those that have `Mono8`
+/// are simulated as the grey one with an area sensor.
 pub fn implemented(table: &Table, feature: &Feature) -> bool {
     const COLOUR: &[&str] =
         &["Balance", "ColorTransformation", "ColorAdjustment", "ColorCoding", "Hue", "Saturation"];
@@ -135,8 +137,8 @@ fn is_grey(table: &Table) -> bool {
     table.feature("PixelFormat").is_some_and(|feature| feature.entries.iter().any(|entry| entry == "Mono8"))
 }
 
-/// Who may do what with a feature. Where a description leaves it to registers that a table does not show, facts are read
-/// only, and commands may be read: that is how a client learns that they are done.
+/// Who may do what with a feature. Where a description leaves it to registers that a table does not show, facts are
+/// read only, and commands may be read: that is how a client learns that they are done.
 pub fn access(feature: &Feature) -> Access {
     if feature.kind == Kind::Command {
         return feature.access.filter(|access| *access != Access::Ro).unwrap_or(Access::Rw);
@@ -240,7 +242,7 @@ pub fn wired_line(table: &Table) -> Option<String> {
         .or_else(|| first(&|entry| entry != "Software" && entry != "Off"))
 }
 
-/// What a value is multiplied by to be told by another of its names: an amplifier's step is a tenth of a decibel, a raw
+/// The factor from a value to the same by another of its names: an amplifier's step is a tenth of a decibel, a raw
 /// exposure counts microseconds.
 pub fn alias_scale(name: &str) -> f64 {
     if name == "GainRaw" { 10.0 } else { 1.0 }

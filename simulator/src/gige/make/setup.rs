@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a node's file says of a make, as somebody writes it who knows that camera: words, and raw settings for what no rule
-//! knows.
+//! The entries of a node file for a make, as a user writes them who knows that camera: words, and raw settings for what
+//! no rule knows.
 
 use super::{Make, rules};
 

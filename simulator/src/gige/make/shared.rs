@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Features that are one number: older cameras have a number of the trigger's mode, of which a selector, an overlap and the
-//! exposure's mode each show a part. To set one of them is to set the others.
+//! Features that are one number: older cameras have a number of the trigger's mode, of which a selector, an overlap and
+//! the exposure's mode each show a part. To set one of them is to set the others.
 
 use super::table::{Kind, Table};
 use std::collections::BTreeSet;
@@ -22,7 +22,8 @@ pub fn features(table: &Table) -> BTreeSet<usize> {
     if there.len() > 1 { there } else { BTreeSet::new() }
 }
 
-/// The number that an entry stands for: IIDC counts an edge as 0, a pulse that exposes as 1, overlapped exposures as 14.
+/// The number that an entry stands for: IIDC counts an edge as 0, a pulse that exposes as 1, overlapped exposures as
+/// 14.
 pub fn number(entry: &str) -> i64 {
     match entry {
         "ExposureActive" | "TriggerWidth" => 1,

@@ -18,7 +18,7 @@ pub enum Kind {
     String,
 }
 
-/// Who may do what with a feature, where its description says.
+/// Whether a feature can be read and written, where its description states it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub enum Access {
@@ -31,7 +31,6 @@ pub enum Access {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Bound {
     Absent,
-    /// The camera computes it from its state.
     Depends,
     Fixed(f64),
 }
@@ -39,17 +38,16 @@ pub enum Bound {
 /// What is written to execute a command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum CommandValue {
-    /// The register always holds this value.
     Fixed(u32),
     /// What follows from these features; none: from something that is no feature.
     Of(Vec<String>),
 }
 
+/// A feature of a make, as its table states it.
 #[derive(Debug, Clone)]
 pub struct Feature {
     pub name: String,
     pub kind: Kind,
-    /// Physical unit of the value.
     pub unit: Option<String>,
     pub min: Bound,
     pub max: Bound,
@@ -58,17 +56,16 @@ pub struct Feature {
     pub entries: Vec<String>,
     /// Features of which it selects one of several values; all are in the table.
     pub selects: Vec<String>,
-    /// Whether clients may read and write it.
     pub access: Option<Access>,
     /// Another feature or state can lock it.
     pub locked_by: bool,
-    /// It can be there or not, as other features say.
+    /// Whether it is there depends on other features.
     pub available_if: bool,
     /// Some models of the family do not have it.
     pub implemented_if: bool,
     /// Of a command: what is written.
     pub command_value: CommandValue,
-    /// Of a command: whether its register can be read; `None` where the table does not say.
+    /// Of a command: whether its register can be read; `None` where the table does not state it.
     pub can_be_read: Option<bool>,
     /// Features that lie in the same register.
     pub same_register_as: Vec<String>,
@@ -76,6 +73,7 @@ pub struct Feature {
     pub available_with: Vec<String>,
 }
 
+/// The table of a make: all features of its description.
 #[derive(Debug, Clone)]
 pub struct Table {
     /// Vendor, as the description names it.

@@ -16,7 +16,6 @@ enum Role {
     Burst,
     /// Starts a frame, and ends its exposure with the pulse.
     Bulb,
-    /// A command without which frames are held back.
     Gate,
     End,
 }
@@ -103,7 +102,7 @@ impl Firmware {
     fn set_trigger(&self, settings: &mut Settings) {
         let table = &self.make.table;
         if table.find("TriggerMode").is_none() {
-            // Cameras of before there were trigger modes: how they expose says what starts it.
+            // Cameras of before there were trigger modes: their exposure mode decides what starts it.
             settings.triggered = rules::EXTERNAL.iter().any(|(name, entries)| {
                 self.entry(name).is_some_and(|entry| entries.iter().any(|start| entry.starts_with(start)))
             });
@@ -131,7 +130,7 @@ impl Firmware {
         let of = |wanted: &[Role]| on.iter().find(|(_, role)| wanted.contains(role)).copied();
         let start = of(&[Role::Frame, Role::Bulb]);
         let burst = of(&[Role::Burst]);
-        // A trigger of what encloses frames that is on, and that nobody gives: no frames.
+        // A trigger of what encloses frames that is on, and never comes: no frames.
         settings.acquisition_triggered = of(&[Role::Gate]).is_some() || start.is_some() && burst.is_some();
         if burst.is_some() && start.is_none() {
             settings.burst =
@@ -211,8 +210,8 @@ impl Firmware {
         10f64.powf(decibels.clamp(0.0, 60.0) / 20.0) as f32
     }
 
-    /// The packet size that it uses where one is asked for: its bounds hold, and what is between its increments is rounded
-    /// down, as by real ones. `None`: refused.
+    /// The packet size that it uses where one is requested: its bounds hold, and what is between its increments is
+    /// rounded down, as by real ones. `None`: refused.
     pub fn packet_size(&self, asked: u16) -> Option<u16> {
         let Some(index) = self.make.table.find("GevSCPSPacketSize") else { return Some(asked) };
         let range = rules::range(self.feature(index));

@@ -59,7 +59,7 @@ impl Registers {
         Some(described.word(address))
     }
 
-    /// Writes to it; says how many bytes were taken.
+    /// Writes to it; returns how many bytes were taken.
     pub(super) fn write_memory(&mut self, address: u32, data: &[u8]) -> Option<(usize, Option<Effect>)> {
         let described = self.described.clone().filter(|_| Self::is_memory(address))?;
         let words = (address..).step_by(4).take(data.len() / 4);

@@ -10,7 +10,7 @@ use crate::gige::sensor;
 /// GVCP capability: user-defined name, serial number, the controller's port and address, PACKETRESEND,
 /// WRITEMEM, concatenation.
 const GVCP_CAPABILITY: u32 = 1 << 31 | 1 << 30 | 1 << 27 | 1 << 2 | 1 << 1 | 1;
-/// Bit of the GVCP capability register: PENDING_ACK.
+/// Bit of the GVCP capability register: the camera sends PENDING_ACK.
 const PENDING_ACKS: u32 = 1 << 5;
 /// GVCP capability: IEEE 1588, scheduled ACTION, ACTION.
 const ACTIONS: u32 = 1 << 19 | 1 << 17 | 1 << 6;

@@ -150,8 +150,9 @@ impl<W: Write + Seek> SequenceWriter<W> {
 
 /// All of a message but its points.
 fn start_message(out: &mut Vec<u8>, time_ns: u64, points: usize) {
-    let identity =
-        MessageWriter::default().message(1, MessageWriter::default()).message(2, MessageWriter::default().double(4, 1.0));
+    let identity = MessageWriter::default()
+        .message(1, MessageWriter::default())
+        .message(2, MessageWriter::default().double(4, 1.0));
     let timestamp = protobuf::timestamp(MessageWriter::default(), time_ns);
     let mut head = MessageWriter::default()
         .message(1, timestamp)

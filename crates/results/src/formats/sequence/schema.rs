@@ -57,4 +57,3 @@ pub(crate) fn point_cloud() -> Vec<u8> {
         foxglove("foxglove/PointCloud.proto", &of_cloud, cloud),
     ])
 }
-
