@@ -153,9 +153,10 @@ async fn until_fetched(driver: &NodeThread, read: &api::OutcomeRead) {
     while !driver.has_ended() {
         tokio::time::sleep(POLL).await;
     }
-    let status = driver.status.read().unwrap_or_else(PoisonError::into_inner);
-    let last = status.session.as_ref().map(|session| session.session_id);
-    drop(status);
+    let last = {
+        let status = driver.status.read().unwrap_or_else(PoisonError::into_inner);
+        status.session.as_ref().map(|session| session.session_id)
+    };
     let Some(last) = last else { return };
     let begin = Instant::now();
     while read.load(Ordering::Acquire) != last && begin.elapsed() < READ_PATIENCE {
