@@ -35,7 +35,7 @@ enum Way {
     Sendmmsg,
     /// UDP_SEGMENT: runs of seven packets, copied by the kernel once.
     Segmented,
-    /// As above, with MSG_ZEROCOPY.
+    /// Segmented, with MSG_ZEROCOPY: the kernel sends from our memory.
     ZeroCopy,
     /// The same from a file in memory by `sendfile`, which hands pages over.
     Sendfile,

@@ -389,6 +389,30 @@ fn every_file_says_what_it_is_for_and_is_short() {
     }
 }
 
+/// A comment of four words or fewer repeats the name below it, or leaves out unit, source or condition.
+#[test]
+fn comments_of_documentation_are_sentences() {
+    let mut short = Vec::new();
+    for folder in ["src", "crates", "simulator", "hsu-firmware-proto"] {
+        for path in rust_files(&root().join(folder)) {
+            let text = std::fs::read_to_string(&path).expect("a source file");
+            let mut words: Option<usize> = None;
+            for (number, line) in text.lines().map(str::trim_start).chain([""]).enumerate() {
+                match line.strip_prefix("///").or_else(|| line.strip_prefix("//!")) {
+                    Some(comment) => {
+                        *words.get_or_insert(0) += comment.split_whitespace().count();
+                    }
+                    None if words.take().is_some_and(|count| count < 5) => {
+                        short.push(format!("{}:{number}", path.display()));
+                    }
+                    None => {}
+                }
+            }
+        }
+    }
+    assert!(short.is_empty(), "write five words or more, or none: {}", short.join(", "));
+}
+
 #[test]
 fn every_script_names_its_licence() {
     let scripts = files(&root(), &[".sh", ".py"]);

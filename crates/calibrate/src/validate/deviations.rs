@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Signed deviations as figures.
+//! Figures of signed deviations: mean, spread and quantiles.
 
 /// Mean, RMS and the like of signed deviations.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Failures of cameras.
+//! Why a camera cannot be used, and what to do.
 
 /// A camera failure, with what the operator can do about it. `detail` is the error text of Aravis.
 #[derive(Debug, thiserror::Error)]

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What was submitted: `OUT/cluster/job.json`.
+//! The record of a submitted job, `OUT/cluster/job.json`.
 
 use super::sizing::Sizing;
 use crate::base::{json, regular};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Single cases by name.
+//! Histories that were seen, each with a name.
 
 use super::history::{Arrives, HOST_MINUS_HSU_NS, History, Random, Traits};
 use super::{Outcome, play, play_like, play_whole};
