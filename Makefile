@@ -17,6 +17,7 @@
 #   make light     striped shirts, tattoos, little and too much light, defocus, devices that have turned
 #   make real      photographs that others took, against what others make of many (fetched, or named as skipped)
 #   make validate  the paper's section 5: calibrated, Table 3, girths, spacing, beside the paper's figures
+#   make figures   every figure of README.md and docs, measured and written there; scripts/figures.sh prints the minutes
 #   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
 #   make deb       the Debian package, in target/debian; scripts/try-package.sh tries it in a clean Debian
 #   make third-party   others' programs that take minutes to build
@@ -25,7 +26,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses noise light real validate packages test-packages clean-out fuzz third-party
+.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses noise light real validate figures packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -129,6 +130,9 @@ real: packages
 validate: packages
 	$(CARGO) build --release --workspace
 	scripts/validate.sh
+
+figures: packages
+	scripts/figures.sh
 
 deb: packages
 	@scripts/install-packages.sh dpkg-dev

@@ -7,6 +7,7 @@ the summary. A table whose summary is absent stays as it is. Every figure is rou
 
     scripts/write_tables.py                  # writes what has changed
     scripts/write_tables.py --check          # only says so: exit code 1
+    scripts/write_tables.py --targets        # prints the `make` targets of all tables
     scripts/write_tables.py --target DIR     # summaries of another checkout
 """
 
@@ -21,7 +22,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENTS = ["README.md", "docs/validation.md", "docs/benchmarks.md"]
 BLOCK = re.compile(r"(<!-- table: ([^\n]*?) -->\n)(.*?)(<!-- end -->)", re.S)
-NOT_MEASURED = "Not measured with this version."
 # What the paper found, as in scripts/validate.sh.
 PAPER = {
     "plane": "0.17, 0.22, 0.25, 0.23",
@@ -283,50 +283,60 @@ def short(summaries, present):
         ),
     ]
     found = dict(re.findall(r"^\| (.+?) \| (.+?) \|", present, re.M))
-    cells = []
+    cells, versions = [], {}
     for name, target, show in rows:
         summary = summaries(target)
         text = found.get(name, "") if summary is None else show(summary)
-        if summary is not None and not WRITERS[target][1](summary["commit"]):
-            text += ", with an earlier version"
+        constant = WRITERS[target][1]
+        if summary is not None:
+            versions[constant] = measured_with(constant, summary["commit"])
         cells.append([name, text, f"`make {target}`"])
-    return table(["in short", "found", "by"], cells)
+    of = {constant: line for constant, line in zip(VERSIONS, re.findall(r"Measured with [^.]*\.", present))} | versions
+    lines = "\n".join(of[constant] for constant in VERSIONS if constant in of)
+    return table(["in short", "found", "by"], cells) + (f"\n{lines}\n" if lines else "")
 
 
 def git(*words):
     return subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True, check=False)
 
 
-def same_algorithm(commit):
-    """Whether the same frames give the same points as in a commit (`ALGORITHM`); no where git does not know it."""
-    at, now = (
-        git("grep", "-hE", "pub const ALGORITHM: u32", of, "--", "src", "crates", ":!*/paper").stdout
-        for of in (commit, "HEAD")
-    )
-    return at == now != ""
+def number(name, commit):
+    """The value of a constant in a commit's code; none where git does not know the commit or the constant."""
+    found = git("grep", "-hoE", f"pub const {name}: u32 = [0-9]+", commit, "--", "src", "crates", ":!*/paper").stdout
+    return found.rsplit(" ", 1)[-1].strip() or None
 
 
-def same_recording(commit):
-    """Whether the way of a frame to the disk is that of a commit."""
-    folders = ["crates/devices/src/acquire", "crates/devices/src/camera", "crates/record/src"]
-    return git("diff", "--quiet", commit, "HEAD", "--", *folders).returncode == 0
+# What decides figures, by its constant in the code; tests/it/documents.rs compares these with what documents say.
+VERSIONS = {"ALGORITHM": "algorithm", "INGEST": "way to the disk"}
 
 
-# By target, with what says whether the summary is of this version.
+def measured_with(constant, commit):
+    """The line of a table that says which version it is of."""
+    return f"Measured with {VERSIONS[constant]} {number(constant, commit) or 'unknown'}."
+
+
+# By target, with the constant that decides its figures.
 WRITERS = {
-    "poses": (poses, same_algorithm),
-    "light": (light, same_algorithm),
-    "noise": (noise, same_algorithm),
-    "real": (real, same_algorithm),
-    "demo": (demo, same_algorithm),
-    "validate": (validate, same_algorithm),
-    "bench-ingest": (bench_ingest, same_recording),
-    "bench-reconstruct": (bench_reconstruct, same_algorithm),
-    "bench-worker": (bench_worker, same_algorithm),
-    "bench-live": (bench_live, same_algorithm),
-    "bench-before-record": (bench_before_record, same_algorithm),
-    "bench-play": (bench_play, same_algorithm),
+    "poses": (poses, "ALGORITHM"),
+    "light": (light, "ALGORITHM"),
+    "noise": (noise, "ALGORITHM"),
+    "real": (real, "ALGORITHM"),
+    "demo": (demo, "ALGORITHM"),
+    "validate": (validate, "ALGORITHM"),
+    "bench-ingest": (bench_ingest, "INGEST"),
+    "bench-reconstruct": (bench_reconstruct, "ALGORITHM"),
+    "bench-worker": (bench_worker, "ALGORITHM"),
+    "bench-live": (bench_live, "ALGORITHM"),
+    "bench-before-record": (bench_before_record, "INGEST"),
+    "bench-play": (bench_play, "ALGORITHM"),
 }
+
+
+def targets():
+    """What `make` measures for the documents, each once; the demo first, as others use its light."""
+    blocks = [block[2] for document in DOCUMENTS for block in BLOCK.finditer((ROOT / document).read_text())]
+    found = dict.fromkeys(block for block in blocks if block != "short")
+    return sorted(found, key=lambda target: target != "demo")
 
 
 def write(words, present, target_dir):
@@ -350,10 +360,9 @@ def write(words, present, target_dir):
     figures = summary(settings.get("BATTERY", name))
     if figures is None:
         return None
-    writer, of_this_version = WRITERS[name]
-    note = "" if of_this_version(figures["commit"]) else f"\n{NOT_MEASURED}\n"
+    writer, constant = WRITERS[name]
     try:
-        return writer(figures) + note
+        return f"{writer(figures)}\n{measured_with(constant, figures['commit'])}\n"
     except KeyError as missing:
         sys.exit(f"error: {target_dir}/{name}: expected {missing} in its summary: run `make {name}` again")
 
@@ -361,8 +370,12 @@ def write(words, present, target_dir):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 where a table would change")
+    parser.add_argument("--targets", action="store_true", help="print what `make` measures for them, and write nothing")
     parser.add_argument("--target", type=Path, default=ROOT / "target", help="where the summaries are")
     args = parser.parse_args()
+    if args.targets:
+        print("\n".join(targets()))
+        return
     changed = []
     for document in DOCUMENTS:
         path = ROOT / document

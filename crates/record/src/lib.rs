@@ -49,6 +49,10 @@ pub mod verify;
 
 mod writer;
 
+/// Number of the way that a frame takes from the socket to the disk. Raised when its cost changes by more than the noise of
+/// `make bench-ingest`; tables of documents name the number that they were measured with.
+pub const INGEST: u32 = 1;
+
 pub use action_counts::{ACTION_COMMANDS, ActionCounts};
 pub use advice::Advice;
 pub use direct_io::{free_bytes, survive_file_limit};
