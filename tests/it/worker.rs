@@ -403,7 +403,7 @@ fn only_one_worker_has_the_results() {
     let (code, text) = place.once();
     worker.kill();
     assert_eq!(code, Some(2), "{text}");
-    assert_contains(&text, &["another worker is at work"]);
+    assert_contains(&text, &["another worker is running"]);
 }
 
 #[test]
