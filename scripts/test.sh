@@ -17,11 +17,12 @@ trap 'trap - INT TERM; kill 0' INT TERM
 # A test that hangs is named by the line that says how long it has been running, and ends the run.
 bounded() { timeout --foreground 40m "$@"; }
 
-# What a compute node has is the program without Aravis: the tests give it to the tasks of their Slurm.
-"$cargo" build --no-default-features --bin fourdbody || exit
+"$cargo" test --workspace --tests --no-run || exit
+# What a compute node has is the program without Aravis: the tests give it to the tasks of their Slurm. With an example of the
+# same workspace Cargo chooses the same features for all other crates, and compiles none of them again.
+"$cargo" build --workspace --no-default-features --bin fourdbody --example manual || exit
 install -D target/debug/fourdbody target/compute-node/fourdbody
 export FOURDBODY_COMPUTE_NODE=$PWD/target/compute-node/fourdbody
-"$cargo" test --workspace --tests --no-run || exit
 bounded "$cargo" test -p fourdbody --test it -- --exact "$alone"
 first=$?
 

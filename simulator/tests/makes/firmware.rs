@@ -138,7 +138,7 @@ fn habits_name_makes_and_wrong_ones_are_refused() {
         ("like = \"any.json\"\nleft_over = { Gain = \"high\" }", "expected a number"),
         ("like = \"any.json\"\nleft_over = { GainAuto = \"Sometimes\" }", "expected one of Off, Continuous"),
         ("like = \"any.json\"\nleft_over = { \"Gain[All]\" = 3.0 }", "no selector of Gain"),
-        ("like = \"any.json\"\nleft_over = { GevSCPSPacketSize = 3 }", "nobody leaves behind"),
+        ("like = \"any.json\"\nleft_over = { GevSCPSPacketSize = 3 }", "no user leaves behind"),
         ("like = \"any.json\"\nleft_over = { UserSetLoad = 1 }", "a command leaves nothing"),
     ] {
         let error = parse(keys).expect_err(keys);
