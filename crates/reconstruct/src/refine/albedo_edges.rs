@@ -17,6 +17,7 @@ use crate::kernels::row_support::Support;
 use crate::kernels::{simd, subpixel};
 use crate::phase::window_quality::{self, DOUBTFUL_MISFIT, GOOD_MISFIT, LEAST_AMPLITUDE_DN};
 use std::f32::consts::TAU;
+use std::ops::Range;
 
 /// A phase of which a larger error is expected is dropped, rad.
 const MAX_ERROR: f32 = 0.25;
@@ -65,14 +66,18 @@ pub fn refine(
     FrameMaps { runs, windows, period, zone: outside, sign }: FrameMaps<'_>,
     mut expected: Option<&mut Plane<f32>>,
 ) -> usize {
-    let (mut support, mut doubtful) = (Support::default(), Vec::new());
+    let (mut support, mut known, mut doubtful) = (Support::default(), Known::default(), Vec::new());
     simd::dispatch(
         #[inline(always)]
         || {
             support.begin(absolute, REACH.1, PAD);
+            known.begin(absolute.width());
             let mut dropped = 0;
             for v in 0..absolute.height() {
                 let (misfit, zone) = (windows.misfit.row(v), outside.row(v));
+                if let Some(leaves) = v.checked_sub(ROWS - REACH.1) {
+                    known.take_off(support.row(v - 1, 0), runs.span(leaves));
+                }
                 support.advance(
                     v,
                     absolute,
@@ -89,6 +94,10 @@ pub fn refine(
                         }
                     },
                 );
+                let enter = if v == 0 { 0 } else { v + REACH.1 }..=v + REACH.1;
+                for row in enter.filter(|&row| row < absolute.height()) {
+                    known.add(support.row(v, row + REACH.1 - v), runs.span(row));
+                }
                 doubtful.clear();
                 for run in runs.row(v) {
                     let part = run.columns();
@@ -104,8 +113,8 @@ pub fn refine(
                     let count = left.iter().take_while(|&&u| u < first + LANES).count();
                     let block;
                     (block, left) = left.split_at(count);
-                    let around = around(&good, first);
-                    let laid = if is_supported(&around) {
+                    let laid = if known.support(first, block) {
+                        let around = around(&good, first);
                         let phase = subpixel::part(absolute.row(v), first, f32::NAN);
                         let mut carrier: Lanes = subpixel::part(period.row(v), first, f32::NAN);
                         for carrier in &mut carrier {
@@ -199,18 +208,49 @@ fn around<'a>(good: &[&'a [f32]; ROWS], u: usize) -> Around<'a> {
     around
 }
 
-/// Whether enough phases around any pixel of a block are good for a plane. Most blocks beside outlines have too few.
-#[inline(always)]
-fn is_supported(around: &Around<'_>) -> bool {
-    let mut known = [0u32; LANES];
-    for good in around {
-        for column in 0..COLUMNS {
-            for i in 0..LANES {
-                known[i] += u32::from(!good[column * COLUMN_STEP + i].is_nan());
-            }
+/// The number of good phases in the rows around the current one, column by column with [`PAD`] to either side. It is kept from
+/// row to row: counting anew for each block makes this stage three quarters slower.
+#[derive(Debug, Default)]
+struct Known(Vec<u8>);
+
+impl Known {
+    /// Begins a frame of this width.
+    fn begin(&mut self, width: usize) {
+        self.0.clear();
+        self.0.resize(width + 2 * PAD, 0);
+    }
+
+    /// Adds a row of support, which is known within `columns`.
+    #[inline(always)]
+    fn add(&mut self, row: &[f32], columns: Range<usize>) {
+        let columns = columns.start + PAD..columns.end + PAD;
+        for (count, phase) in self.0[columns.clone()].iter_mut().zip(&row[columns]) {
+            *count += u8::from(!phase.is_nan());
         }
     }
-    known.iter().any(|known| *known >= MIN_SUPPORT as u32)
+
+    /// Subtracts a row that was added.
+    #[inline(always)]
+    fn take_off(&mut self, row: &[f32], columns: Range<usize>) {
+        let columns = columns.start + PAD..columns.end + PAD;
+        for (count, phase) in self.0[columns.clone()].iter_mut().zip(&row[columns]) {
+            *count -= u8::from(!phase.is_nan());
+        }
+    }
+
+    /// Whether one of the pixels of a block, which begins at column u, has enough good ones around it for a plane.
+    #[inline(always)]
+    fn support(&self, u: usize, block: &[usize]) -> bool {
+        const { assert!(ROWS * COLUMNS <= u8::MAX as usize) };
+        let around: &[u8; SPAN] = subpixel::chunk(&self.0, u + PAD - REACH.0);
+        let mut known = [0u8; LANES];
+        for column in 0..COLUMNS {
+            for i in 0..LANES {
+                known[i] += around[column * COLUMN_STEP + i];
+            }
+        }
+        block.iter().any(|at| usize::from(known[(at - u) % LANES]) >= MIN_SUPPORT)
+    }
 }
 
 /// Sums of 1, x, y and of their products; of the residual phase z, and of its products with them.

@@ -12,7 +12,7 @@
 
 use crate::base::image::Plane;
 use crate::kernels::pixel_runs::{Run, Runs};
-use crate::kernels::{fast_round, prefetch, simd};
+use crate::kernels::{fast_round, prefetch, simd, subpixel};
 use crate::phase::demodulate::{self, Gains};
 use crate::phase::shading;
 use crate::phase::window_quality::{self, DOUBTFUL_MISFIT, Windows};
@@ -75,12 +75,12 @@ pub(crate) struct Input<'a> {
     /// Not 0 around the marker, where no phase is changed.
     pub zone: &'a Plane<u8>,
     pub gains: &'a Gains,
-    /// Sign of the phase along the columns.
+    /// Sign of the phase's slope along the columns.
     pub sign: f32,
 }
 
-/// Adds phases at the ends of runs to `absolute`, which is known within them only, and improves those that are
-/// doubtful there. Returns how many were added.
+/// Adds phases at the ends of runs to `absolute`, which is known within them only, and improves those that are doubtful there.
+/// Returns how many were added.
 pub(crate) fn complete(
     input: &Input<'_>,
     absolute: &mut Plane<f32>,
@@ -111,7 +111,8 @@ pub(crate) fn complete(
     )
 }
 
-/// Prefetches the ends of a row's runs in all planes that are needed there, which lie far from each other in memory.
+/// Prefetches the ends of a row's runs in all planes that are needed there. These lie far from each other in memory, and the
+/// processor would wait for each by itself.
 #[inline(always)]
 fn prefetch_ends(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, period: &Plane<f32>, v: usize) {
     if v >= absolute.height() {
@@ -119,7 +120,7 @@ fn prefetch_ends(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, pe
     }
     for run in input.runs.row(v) {
         let (start, last) = (run.start(), run.end() - 1);
-        // The pixels at an end may lie in two cache lines.
+        // Up to a cache line further in: there may be two of them.
         for u in [start, last, (start + END_PX).min(last), last.saturating_sub(END_PX).max(start)] {
             prefetch::value(windows.strength.row(v), u);
             prefetch::value(windows.light.row(v), u);
@@ -132,7 +133,7 @@ fn prefetch_ends(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, pe
     }
 }
 
-/// One row of all planes that are read and written.
+/// One row of what is read and written.
 struct Row<'a> {
     absolute: &'a mut [f32],
     strength: &'a mut [u16],
@@ -145,13 +146,34 @@ struct Row<'a> {
     sign: f32,
 }
 
-/// What demodulation gives for a pixel.
+/// Pixels that are worked on at once. Windows are read one by one, the rest is computed for all: pixel by pixel this stage is
+/// half slower.
+const LANES: usize = 16;
+type Lanes = [f32; LANES];
+
+/// Sums over the windows of several pixels at once.
+struct Seen {
+    samples: [Lanes; 7],
+    /// Factors of the sums of these samples.
+    gains: [Lanes; 2],
+    /// Light half a period before and behind, NaN where it is not known.
+    light: [Lanes; 2],
+}
+
+impl Seen {
+    #[inline(always)]
+    fn nothing() -> Self {
+        Self { samples: [[0.0; LANES]; 7], gains: [[1.0; LANES]; 2], light: [[f32::NAN; LANES]; 2] }
+    }
+}
+
+/// What demodulation gives for some pixels.
 struct Found {
-    /// The phase, rad, by whole turns nearest to the expected one.
-    phase: f32,
-    misfit: f32,
-    strength: u16,
-    light: u16,
+    /// The phase, by whole turns nearest to what is expected, rad.
+    phase: Lanes,
+    misfit: Lanes,
+    strength: [u16; LANES],
+    light: [u16; LANES],
 }
 
 /// Where the samples of a window lie, in periods from its middle.
@@ -162,14 +184,14 @@ impl Row<'_> {
     #[inline(always)]
     fn complete(&mut self, runs: &[Run]) -> usize {
         let mut added = 0;
-        // Nothing is done at an end beside a spot.
+        // An end at a spot stays as it is.
         let mut spot_before = false;
         for (i, run) in runs.iter().enumerate() {
             let spot_behind = runs.get(i + 1).is_some_and(|next| self.is_spot(run, next));
             let columns = run.columns();
             let end = columns.len().min(END_PX);
             let before = (spot_before, -1, columns.start..columns.start + end);
-            // In a short run the two ends must not overlap.
+            // Not twice in short runs.
             let behind = (spot_behind, 1, (columns.end - end).max(columns.start + end)..columns.end);
             for (spot, step, part) in [before, behind] {
                 if !spot {
@@ -182,7 +204,7 @@ impl Row<'_> {
         added
     }
 
-    /// Whether the hole between two runs may be a spot on one surface. Beside pixels without an order it is none.
+    /// Whether what lies between two runs may be a spot on one surface: where a side has no fringe order that is unknown.
     #[inline(always)]
     fn is_spot(&self, run: &Run, next: &Run) -> bool {
         if next.start() - run.end() > SPOT_PX {
@@ -194,7 +216,7 @@ impl Row<'_> {
         };
         let way = self.sign * TAU * (b - a) as f32 * 2.0 / (self.period[a] + self.period[b]);
         let off = self.absolute[b] - self.absolute[a] - way;
-        // Also where the difference is NaN.
+        // Not where that is no number.
         !(off.abs() > SPOT_RAD + SPOT_SHARE * way.abs())
     }
 
@@ -212,59 +234,100 @@ impl Row<'_> {
             return 0;
         }
         let course = self.course(columns, from, step);
-        for done in 0..count {
-            let u = from.wrapping_add_signed(step * (done + 1) as isize);
-            let (distance, zone) = ((done + 1) as f32, self.zone[u]);
-            let (period, expected) = (TAU / course.slope(distance).abs(), course.phase(distance));
-            let Some(found) = self.demodulate(columns, u, period, expected) else { return done };
-            let beyond = period / 2.0 > to_end(columns, u) as f32;
-            // False where there is no phase.
-            let agrees =
-                (found.phase - expected).abs() <= MAX_STEP && !(beyond && found.misfit > BEYOND_MISFIT);
-            if !agrees || zone != 0 {
+        let mut done = 0;
+        while done < count {
+            let (mut period, mut expected, mut known) = ([0f32; LANES], [0f32; LANES], 0);
+            let next = from.wrapping_add_signed(step * (done + 1) as isize);
+            // A window that sees the light of one of these pixels has to wait until that has some.
+            while known < LANES.min(count - done) {
+                let k = (done + known + 1) as f32;
+                period[known] = TAU / course.slope(k).abs();
+                expected[known] = course.phase(k);
+                let waits = known as f32 >= period[known] / 2.0 - 1.0;
+                let u = next.wrapping_add_signed(step * known as isize);
+                if waits && known > 0 || !self.has_window(columns, u, period[known]) {
+                    break;
+                }
+                known += 1;
+            }
+            if known == 0 {
                 return done;
             }
-            self.set(u, period, &found);
+            let places: [usize; LANES] = std::array::from_fn(|i| i);
+            let seen = self.look(columns, (next, step), &places[..known], &period);
+            let found = self.demodulate(&seen, &expected);
+            for i in 0..known {
+                let u = from.wrapping_add_signed(step * (done + 1) as isize);
+                let beyond = period[i] / 2.0 > to_end(columns, u) as f32;
+                // NaN where there is none.
+                let agrees = (found.phase[i] - expected[i]).abs() <= MAX_STEP
+                    && !(beyond && found.misfit[i] > BEYOND_MISFIT);
+                if !agrees || self.zone[u] != 0 {
+                    return done;
+                }
+                self.set(u, i, period[i], &found);
+                done += 1;
+            }
         }
         count
     }
 
-    /// Demodulates doubtful pixels of a part of a run again, at the period by the phases around them.
+    /// Demodulates doubtful pixels of a part of a run again, at the period of the phases around them.
     #[inline(always)]
     fn improve(&mut self, columns: &Range<usize>, part: Range<usize>) {
-        let mut better: [Option<(f32, Found)>; END_PX] = [const { None }; END_PX];
-        // All pixels are demodulated before any is changed.
-        for (better, u) in better.iter_mut().zip(part.clone()) {
-            let (before, misfit) = (self.absolute[u], self.misfit[u]);
-            let is_doubtful = misfit >= DOUBTFUL_MISFIT && !before.is_nan() && self.zone[u] == 0;
-            let period = if is_doubtful { TAU / self.slope(columns, u).abs() } else { f32::NAN };
-            // False where there is no slope.
-            let is_near = (period / self.period[u] - 1.0).abs() <= PERIOD_CHANGE;
-            if !is_near {
-                continue;
-            }
-            let found = self.demodulate(columns, u, period, before);
-            let is_better = |found: &Found| {
-                (found.phase - before).abs() <= PHASE_CHANGE && found.misfit < LESS_MISFIT * misfit
-            };
-            *better = found.filter(is_better).map(|found| (period, found));
+        const { assert!(END_PX <= LANES) };
+        let (mut doubtful, mut count) = ([0usize; END_PX], 0);
+        let pixels = self.absolute[part.clone()].iter().zip(&self.misfit[part.clone()]);
+        for (i, ((phase, &misfit), &zone)) in pixels.zip(&self.zone[part.clone()]).enumerate().take(END_PX) {
+            doubtful[count] = i;
+            count += usize::from((misfit >= DOUBTFUL_MISFIT) & !phase.is_nan() & (zone == 0));
         }
-        for (better, u) in better.iter().zip(part) {
-            if let Some((period, found)) = better {
-                self.set(u, *period, found);
+        if count == 0 {
+            return;
+        }
+        let (first, doubtful) = (part.start, &doubtful[..count]);
+        let before: Lanes = subpixel::part(self.absolute, first, f32::NAN);
+        let misfit: Lanes = subpixel::part(self.misfit, first, 0.0);
+        let counted: Lanes = subpixel::part(self.period, first, f32::NAN);
+        let slope = self.slopes(columns, first, doubtful, &before, &counted);
+        let mut period = [0f32; LANES];
+        for i in 0..LANES {
+            period[i] = TAU / slope[i].abs();
+        }
+        let (mut again, mut known) = ([0usize; END_PX], 0);
+        for &i in doubtful {
+            let near = (period[i] / counted[i] - 1.0).abs() <= PERIOD_CHANGE;
+            if near && self.has_window(columns, first + i, period[i]) {
+                again[known] = i;
+                known += 1;
+            }
+        }
+        if known == 0 {
+            return;
+        }
+        // All of them before any is changed.
+        let again = &again[..known];
+        let seen = self.look(columns, (first, 1), again, &period);
+        let found = self.demodulate(&seen, &before);
+        for &i in again {
+            let same = (found.phase[i] - before[i]).abs() <= PHASE_CHANGE;
+            if same && found.misfit[i] < LESS_MISFIT * misfit[i] {
+                self.set(first + i, i, period[i], &found);
             }
         }
     }
 
-    /// Gives a pixel what was found for it.
+    /// Stores the result of one lane for its pixel.
     #[inline(always)]
-    fn set(&mut self, u: usize, period: f32, found: &Found) {
-        (self.absolute[u], self.misfit[u], self.period[u]) = (found.phase, found.misfit, period);
-        (self.strength[u], self.light[u]) = (found.strength, found.light);
+    fn set(&mut self, u: usize, lane: usize, period: f32, found: &Found) {
+        self.absolute[u] = found.phase[lane];
+        self.strength[u] = found.strength[lane];
+        self.light[u] = found.light[lane];
+        (self.misfit[u], self.period[u]) = (found.misfit[lane], period);
     }
 
-    /// Whether a pixel can be demodulated at a period: not where the window reaches too far beyond the run, or the
-    /// period is none.
+    /// Whether a pixel can be demodulated at a period: not where the window reaches too far beyond the run, or the period is
+    /// none.
     #[inline(always)]
     fn has_window(&self, columns: &Range<usize>, u: usize, period: f32) -> bool {
         let (half, beyond) = (period / 2.0, (BEYOND * period).min(BEYOND_PX));
@@ -274,34 +337,66 @@ impl Row<'_> {
             && u as f32 + half + 1.0 < self.image.len() as f32
     }
 
-    /// Demodulates a pixel at a period and takes off the bias of shading; `None` where it has no window. The phase is
-    /// by whole turns nearest to `expected`.
+    /// Reads the windows of some of the pixels from `first` on, or before it (`step` -1), which have them, at their periods.
     #[inline(always)]
-    fn demodulate(&self, columns: &Range<usize>, u: usize, period: f32, expected: f32) -> Option<Found> {
-        if !self.has_window(columns, u, period) {
-            return None;
-        }
-        let (mut samples, mut ends) = ([0f32; 7], [f32::NAN; 7]);
-        for (k, (sample, end)) in samples.iter_mut().zip(&mut ends).enumerate() {
-            let place = u as f32 + SAMPLES[k] * period;
-            let low = fast_round::floor(place);
-            let share = place - low as f32;
-            let pair = &self.image[low as usize..][..2];
-            let (a, b) = (f32::from(pair[0]), f32::from(pair[1]));
-            *sample = a + share * (b - a);
-            if k == 0 || k == 6 {
-                *end = self.light_between(columns, low as usize, share);
+    fn look(
+        &self,
+        columns: &Range<usize>,
+        (first, step): (usize, isize),
+        pixels: &[usize],
+        period: &Lanes,
+    ) -> Seen {
+        let mut seen = Seen::nothing();
+        // All places before the first look, because vectors find these together.
+        let (mut low, mut share) = ([[0i32; LANES]; 7], [[0f32; LANES]; 7]);
+        for k in 0..7 {
+            for i in 0..LANES {
+                let place = (first as i32 + step as i32 * i as i32) as f32 + SAMPLES[k] * period[i];
+                low[k][i] = fast_round::floor(place);
+                share[k][i] = place - low[k][i] as f32;
             }
         }
-        let (s, c, light, misfit) = demodulate::of_samples(&samples, self.gains.of(period));
-        let [c, s] = shading::correct_one(c, s, [ends[0], light, ends[6]]);
-        let phase = demodulate::phase(c, self.sign * s);
-        Some(Found {
-            phase: phase + TAU * ((expected - phase) / TAU).round(),
-            misfit,
-            strength: window_quality::strength_steps(c, self.sign * s),
-            light: window_quality::light_steps(light),
-        })
+        let [mut before, mut behind] = [[[0u8; LANES]; 7]; 2];
+        for &i in pixels {
+            for k in 0..7 {
+                let pair = &self.image[low[k][i] as usize..][..2];
+                (before[k][i], behind[k][i]) = (pair[0], pair[1]);
+            }
+            [seen.gains[0][i], seen.gains[1][i]] = self.gains.of(period[i]);
+            seen.light[0][i] = self.light_between(columns, low[0][i] as usize, share[0][i]);
+            seen.light[1][i] = self.light_between(columns, low[6][i] as usize, share[6][i]);
+        }
+        for k in 0..7 {
+            for i in 0..LANES {
+                let (a, b) = (f32::from(before[k][i]), f32::from(behind[k][i]));
+                seen.samples[k][i] = a + share[k][i] * (b - a);
+            }
+        }
+        seen
+    }
+
+    /// Demodulates what was seen and takes off the bias of shading.
+    #[inline(always)]
+    fn demodulate(&self, seen: &Seen, expected: &Lanes) -> Found {
+        let [mut cos, mut sin, mut mean, mut misfit] = [[0f32; LANES]; 4];
+        for i in 0..LANES {
+            // Not by `map`: that would be a call, compiled for the narrowest processor.
+            let [a, b, c, d, e, f, g] = &seen.samples;
+            let samples = [a[i], b[i], c[i], d[i], e[i], f[i], g[i]];
+            let (s, c, light, rest) = demodulate::of_samples(&samples, [seen.gains[0][i], seen.gains[1][i]]);
+            let [c, s] = shading::correct_one(c, s, [seen.light[0][i], light, seen.light[1][i]]);
+            (cos[i], sin[i], mean[i], misfit[i]) = (c, self.sign * s, light, rest);
+        }
+        let mut phase = [0f32; LANES];
+        for i in 0..LANES {
+            phase[i] = nearest(demodulate::phase(cos[i], sin[i]), expected[i]);
+        }
+        let [mut strength, mut light] = [[0u16; LANES]; 2];
+        for i in 0..LANES {
+            strength[i] = window_quality::strength_steps(cos[i], sin[i]);
+            light[i] = window_quality::light_steps(mean[i]);
+        }
+        Found { phase, misfit, strength, light }
     }
 
     /// The light between two pixels, NaN where it is not known or the marker's.
@@ -340,20 +435,42 @@ impl Row<'_> {
         Course { phase, slope, bend, behind: reach / 2.0 }
     }
 
-    /// Slope of the phase at a pixel, rad/px; NaN where there is none.
+    /// Slopes of the `phase` of some of the pixels behind `first`, rad/px; NaN where there is none.
     #[inline(always)]
-    fn slope(&self, columns: &Range<usize>, u: usize) -> f32 {
-        let (phase, period) = (self.absolute[u], self.period[u]);
-        let (reach, carrier) = ((period / 3.0).round().max(LEAST_SLOPE_PX), self.sign * TAU / period);
-        let steps = fast_round::whole(reach) as isize;
-        let at = |k: isize| self.at(columns, u, k * steps);
-        let [before, after] = [(phase - at(-1)) / reach, (at(1) - phase) / reach];
-        match (is_same(before, carrier), is_same(after, carrier)) {
-            (true, true) => (before + after) / 2.0,
-            (false, true) => from_side(after, (at(2) - at(1)) / reach, carrier),
-            (true, false) => from_side(before, (at(-1) - at(-2)) / reach, carrier),
-            (false, false) => f32::NAN,
+    fn slopes(
+        &self,
+        columns: &Range<usize>,
+        first: usize,
+        pixels: &[usize],
+        phase: &Lanes,
+        period: &Lanes,
+    ) -> Lanes {
+        let mut reach = [0f32; LANES];
+        for i in 0..LANES {
+            reach[i] = (period[i] / 3.0).round().max(LEAST_SLOPE_PX);
         }
+        // Two before and two behind.
+        let mut beside = [[f32::NAN; LANES]; 4];
+        for &i in pixels {
+            let (u, steps) = (first + i, fast_round::whole(reach[i]) as isize);
+            beside[0][i] = self.at(columns, u, -2 * steps);
+            beside[1][i] = self.at(columns, u, -steps);
+            beside[2][i] = self.at(columns, u, steps);
+            beside[3][i] = self.at(columns, u, 2 * steps);
+        }
+        let mut slope = [0f32; LANES];
+        for i in 0..LANES {
+            let carrier = self.sign * TAU / period[i];
+            let [before, after] =
+                [(phase[i] - beside[1][i]) / reach[i], (beside[2][i] - phase[i]) / reach[i]];
+            let from_before = from_side(before, (beside[1][i] - beside[0][i]) / reach[i], carrier);
+            let from_after = from_side(after, (beside[3][i] - beside[2][i]) / reach[i], carrier);
+            let (same_before, same_after) = (is_same(before, carrier), is_same(after, carrier));
+            let one_side = if same_before { from_before } else { f32::NAN };
+            let one_side = if same_after { from_after } else { one_side };
+            slope[i] = if same_before & same_after { (before + after) / 2.0 } else { one_side };
+        }
+        slope
     }
 }
 
@@ -396,6 +513,12 @@ impl Course {
 #[inline(always)]
 fn to_end(columns: &Range<usize>, u: usize) -> usize {
     (u - columns.start).min(columns.end - 1 - u)
+}
+
+/// A wrapped phase by whole turns nearest to another.
+#[inline(always)]
+fn nearest(wrapped: f32, to: f32) -> f32 {
+    wrapped + TAU * ((to - wrapped) / TAU).round()
 }
 
 #[cfg(test)]
