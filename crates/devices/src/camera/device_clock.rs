@@ -6,7 +6,7 @@
 
 use super::backend::CameraClockSample;
 use super::error::CameraError;
-use super::features::{Failed, Features, answered, halves, or_reason, tick_frequencies, wide};
+use super::features::{FREQUENCY, Failed, Features, answered, halves, or_reason, stated_frequency, wide};
 use crate::base::time::monotonic_ns;
 use std::time::{Duration, Instant};
 
@@ -73,12 +73,27 @@ impl Reading {
 
     /// Ticks a second that the clock may have: nanoseconds in SFNC 2, else the frequencies that the camera states.
     fn units(self, camera: &dyn Features) -> Result<Vec<u64>, CameraError> {
-        let mut units = tick_frequencies(camera)?;
+        const HALVES: [&str; 2] = ["GevTimestampTickFrequencyHigh", "GevTimestampTickFrequencyLow"];
+        let mut units = Vec::new();
         if matches!(self, Self::Features { latch: "TimestampLatch", .. }) {
-            units.insert(0, NANOSECONDS);
+            units.push(NANOSECONDS);
         }
-        units.dedup();
-        Ok(units)
+        if !matches!(self, Self::Registers) {
+            units.extend(stated_frequency(camera)?);
+        }
+        if matches!(self, Self::Halves { .. }) && HALVES.iter().all(|name| camera.has(name)) {
+            units.extend(answered(halves(camera, HALVES))?);
+        }
+        if camera.has_registers() {
+            units.extend(answered(wide(camera, FREQUENCY))?);
+        }
+        let mut known = Vec::new();
+        for unit in units {
+            if unit > 0 && !known.contains(&unit) {
+                known.push(unit);
+            }
+        }
+        Ok(known)
     }
 
     /// Ticks between two readings of the host's clock.

@@ -101,24 +101,16 @@ pub fn number_of(camera: &dyn Features, feature: &str, number: f64) -> FeatureVa
     }
 }
 
-/// Tick frequencies of the camera's clock that the camera states, Hz, without zeros: by its features, then by the
-/// bootstrap registers of GigE Vision.
-pub fn tick_frequencies(camera: &dyn Features) -> Result<Vec<u64>, CameraError> {
-    const WHOLE: &str = "GevTimestampTickFrequency";
-    const HALVES: [&str; 2] = ["GevTimestampTickFrequencyHigh", "GevTimestampTickFrequencyLow"];
-    const REGISTERS: [u64; 2] = [0x093c, 0x0940];
-    let mut stated = Vec::new();
-    if camera.has(WHOLE) {
-        stated.extend(answered(camera.integer(WHOLE))?.and_then(|hz| u64::try_from(hz).ok()));
+/// The bootstrap registers of GigE Vision with the frequency of the camera's clock, Hz, the high word first.
+pub const FREQUENCY: [u64; 2] = [0x093c, 0x0940];
+
+/// The frequency of the camera's clock by its feature, Hz; `None` where it states none.
+pub fn stated_frequency(camera: &dyn Features) -> Result<Option<u64>, CameraError> {
+    const FEATURE: &str = "GevTimestampTickFrequency";
+    if !camera.has(FEATURE) {
+        return Ok(None);
     }
-    if HALVES.iter().all(|name| camera.has(name)) {
-        stated.extend(answered(halves(camera, HALVES))?);
-    }
-    if camera.has_registers() {
-        stated.extend(answered(wide(camera, REGISTERS))?);
-    }
-    stated.retain(|hz| *hz > 0);
-    Ok(stated)
+    Ok(answered(camera.integer(FEATURE))?.and_then(|hz| u64::try_from(hz).ok()).filter(|hz| *hz > 0))
 }
 
 /// A number of 64 bits in two features of 32 bits, the high word first.

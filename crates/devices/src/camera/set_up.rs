@@ -7,7 +7,7 @@ use super::error::CameraError;
 use super::features::{Features, answered, number_of, or_reason, value_of, value_text};
 use super::packet_size;
 use super::profile::{self, Amount, Must, Plan, Want, Wishes, Write};
-use super::settings::{AppliedSetting, Change, SetUp, State, differs};
+use super::settings::{AppliedSetting, Change, SetUp, State, differs, matches};
 use super::triggers::{TriggersOn, triggers_on};
 use super::verify::verify;
 use super::write_amount;
@@ -159,7 +159,7 @@ impl Work<'_> {
     fn check_raw(&mut self, setting: &FeatureSetting, again: bool) -> Result<(), CameraError> {
         let camera = self.camera;
         let other = || -> Result<_, CameraError> {
-            Ok(answered(camera.read(&setting.feature))?.filter(|found| differs(&setting.value, found)))
+            Ok(answered(camera.read(&setting.feature))?.filter(|found| !matches(&setting.value, found)))
         };
         let mut found = other()?;
         if again && found.is_some() {
@@ -234,7 +234,7 @@ impl Work<'_> {
                 Ok(()) => {
                     // A write-only feature cannot be read back.
                     let actual = answered(self.camera.read(feature))?.unwrap_or_else(|| value.clone());
-                    if !differs(value, &actual) {
+                    if matches(value, &actual) {
                         let requested = value.clone();
                         return Ok(Some(AppliedSetting { feature: feature.clone(), requested, actual }));
                     }

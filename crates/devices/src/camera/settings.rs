@@ -44,30 +44,55 @@ pub fn differences(a: &State, b: &State) -> Vec<(String, Option<String>, Option<
     names.into_iter().map(pair).filter(|(_, a, b)| a != b).collect()
 }
 
-/// Tolerance of floats, as a share of the wanted value and at least this amount: cameras quantize exposures to line
-/// times and gains to tenths of a decibel.
-const FLOAT_TOLERANCE: f64 = 2e-3;
+/// Tolerance of floats of raw settings, as a share of the wanted value and at least this amount: cameras quantize
+/// exposures to line times and gains to tenths of a decibel.
+const RAW_TOLERANCE: f64 = 2e-3;
 
-/// Whether a camera has another value than the wanted one. Numbers of different kinds are compared by their values.
+/// Tolerance of floats that were read back before and are read again, in the same measure.
+const SAME_TOLERANCE: f64 = 1e-3;
+
+fn is_close(a: f64, b: f64, tolerance: f64) -> bool {
+    (a - b).abs() <= tolerance * a.abs().max(1.0)
+}
+
+/// Whether a camera took a raw setting. Its kind must be the feature's: only a whole number may stand for a float.
+pub fn matches(wanted: &FeatureValue, actual: &FeatureValue) -> bool {
+    use FeatureValue::{Float, Integer};
+    match (wanted, actual) {
+        (Float(a), Float(b)) => is_close(*a, *b, RAW_TOLERANCE),
+        (Integer(a), Float(b)) => is_close(*a as f64, *b, RAW_TOLERANCE),
+        (a, b) => a == b,
+    }
+}
+
+/// Whether a camera has another value than the one that the program wrote or read before. Numbers of different kinds
+/// are compared by their values.
 pub fn differs(wanted: &FeatureValue, actual: &FeatureValue) -> bool {
     use FeatureValue::{Flag, Float, Integer};
     match (wanted, actual) {
         (Flag(a), Integer(b)) => i64::from(*a) != *b,
         (Float(a), Integer(b)) | (Integer(b), Float(a)) => (a - *b as f64).abs() > 0.5,
-        (Float(a), Float(b)) => (a - b).abs() > FLOAT_TOLERANCE * a.abs().max(1.0),
+        (Float(a), Float(b)) => !is_close(*a, *b, SAME_TOLERANCE),
         (a, b) => a != b,
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::differs;
+    use super::{differs, matches};
     use crate::config::FeatureValue::{Flag, Float, Integer, Text};
 
     #[test]
     fn quantized_floats_pass_and_wrong_values_do_not() {
-        assert!(!differs(&Float(1000.0), &Float(1000.9)) && differs(&Float(1000.0), &Float(1010.0)));
+        assert!(matches(&Float(1000.0), &Float(1001.5)) && !matches(&Float(1000.0), &Float(1010.0)));
+        assert!(matches(&Integer(1000), &Float(1000.9)) && !matches(&Integer(4), &Float(4.4)));
+        assert!(!matches(&Flag(true), &Integer(1)));
+        assert!(!matches(&Text("On".to_owned()), &Text("Off".to_owned())));
+    }
+
+    #[test]
+    fn what_was_read_back_is_held_to_a_thousandth() {
+        assert!(!differs(&Float(1000.0), &Float(1000.9)) && differs(&Float(1000.0), &Float(1001.5)));
         assert!(!differs(&Integer(4), &Float(4.0)) && !differs(&Flag(true), &Integer(1)));
-        assert!(differs(&Text("On".to_owned()), &Text("Off".to_owned())));
     }
 }

@@ -3,7 +3,7 @@
 
 use super::description::{Access, Bounds, list};
 use super::error::CameraError;
-use super::features::{Failed, Features, answered, number_of, tick_frequencies};
+use super::features::{FREQUENCY, Failed, Features, answered, number_of, stated_frequency};
 use super::profile::{Amount, Scale, Write};
 use super::settings::differs;
 use crate::config::FeatureValue;
@@ -171,8 +171,8 @@ fn per_unit(
             Some(tick_us) if tick_us > 0.0 => Ok(PerUnit::Times(1.0 / tick_us)),
             _ => Err(format!("{feature}, which states the length of a tick, cannot be read")),
         },
-        Scale::Clock => match tick_frequencies(camera)?.first() {
-            Some(hz) => Ok(PerUnit::Times(*hz as f64 / 1e6)),
+        Scale::Clock => match tick_frequency(camera)? {
+            Some(hz) => Ok(PerUnit::Times(hz as f64 / 1e6)),
             None => Err(
                 "it counts ticks, and the camera does not state how many a second has; set it in `settings`, \
                  and set left_to_settings = [\"packet_delay_us\"]"
@@ -186,6 +186,19 @@ fn per_unit(
             _ => PerUnit::Times(1.0),
         }),
     })
+}
+
+/// Ticks of the camera's clock a second: by its feature, else by its registers. A half that a camera does not answer is 0.
+fn tick_frequency(camera: &dyn Features) -> Result<Option<u64>, CameraError> {
+    if let Some(hz) = stated_frequency(camera)? {
+        return Ok(Some(hz));
+    }
+    if !camera.has_registers() {
+        return Ok(None);
+    }
+    let [high, low] = FREQUENCY.map(|register| answered(camera.register(register)));
+    let (high, low) = (high?.unwrap_or(0), low?.unwrap_or(0));
+    Ok(Some(u64::from(high) << 32 | u64::from(low)).filter(|hz| *hz > 0))
 }
 
 /// The nearest value that lies within the bounds and on a step.

@@ -106,7 +106,9 @@ pub fn receive_until<T>(
     until: Instant,
     mut take: impl FnMut(&[u8], IpAddr) -> Option<T>,
 ) -> io::Result<Option<T>> {
-    use io::ErrorKind::{ConnectionRefused, HostUnreachable, NetworkUnreachable, TimedOut, WouldBlock};
+    use io::ErrorKind::{
+        ConnectionRefused, HostUnreachable, Interrupted, NetworkUnreachable, TimedOut, WouldBlock,
+    };
     let mut buffer = vec![0; 1 << 16];
     loop {
         let left = until.saturating_duration_since(Instant::now());
@@ -123,7 +125,12 @@ pub fn receive_until<T>(
             Err(error)
                 if matches!(
                     error.kind(),
-                    WouldBlock | TimedOut | ConnectionRefused | HostUnreachable | NetworkUnreachable
+                    WouldBlock
+                        | TimedOut
+                        | Interrupted
+                        | ConnectionRefused
+                        | HostUnreachable
+                        | NetworkUnreachable
                 ) => {}
             Err(error) => return Err(error),
         }

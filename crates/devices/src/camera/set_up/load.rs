@@ -105,15 +105,17 @@ impl Load<'_> {
         std::thread::sleep(SETTLES.saturating_sub(self.begun.elapsed()));
         let until = Instant::now() + PATIENCE;
         let mut last = matters(self.camera, wishes)?;
-        while Instant::now() < until {
+        loop {
             std::thread::sleep(STILL);
             let now = matters(self.camera, wishes)?;
             if now == last && !self.is_busy()? {
                 return Ok(Some(now));
             }
+            if Instant::now() >= until {
+                return Ok(None);
+            }
             last = now;
         }
-        Ok(None)
     }
 }
 
