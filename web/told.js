@@ -92,7 +92,7 @@ export function notReady(partial) {
   const full = known.find(({ status }) => status.judgements.some(({ name, value }) => name === "disk_time_left" && value <= 0));
   if (full) return `the disk of node ${full.name} is full: delete or move sessions`;
   const absent = told.status.rig_nodes.filter((name) => !known.some((node) => node.name === name));
-  if (absent.length && !partial) return `node ${absent.join(", ")} of the rig is not among this node's peers; tick Partial to record without it`;
+  if (absent.length && !partial) return `node ${absent.join(", ")} of the rig is not among this node's peers; tick Part to record without it`;
   return null;
 }
 

@@ -7,7 +7,7 @@
 use super::files::{RecordingFiles, find, unfinished};
 use super::metadata::read_header;
 use super::reader::{Extent, Outcome, RecordingReader};
-use super::segment_file::SegmentFile;
+use super::scan::open_segment;
 use crate::base::ids::{NodeId, SessionName};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -77,7 +77,7 @@ pub fn interrupted(sessions_dir: &Path) -> Vec<Interrupted> {
 /// The session's id and the node.
 fn identity(files: &RecordingFiles) -> Option<(String, NodeId)> {
     let (_, first) = files.segments.first()?;
-    let header = read_header(&SegmentFile::open(first).ok()?).ok()?.header;
+    let header = read_header(&open_segment(first).ok()?).ok()?.header;
     Some((header.session_id, header.node))
 }
 

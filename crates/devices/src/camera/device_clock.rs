@@ -6,7 +6,7 @@
 
 use super::backend::CameraClockSample;
 use super::error::CameraError;
-use super::features::{FREQUENCY, Failed, Features, answered, halves, or_reason, stated_frequency, wide};
+use super::features::{FREQUENCY, Failed, Features, answered, or_reason, stated_frequency};
 use crate::base::time::monotonic_ns;
 use std::time::{Duration, Instant};
 
@@ -112,6 +112,17 @@ impl Reading {
         };
         Ok((before, ticks, after))
     }
+}
+
+/// A number of 64 bits in two features of 32 bits, the high word first.
+fn halves(camera: &dyn Features, [high, low]: [&str; 2]) -> Result<u64, Failed> {
+    let half = |name| camera.integer(name).map(|half| half.cast_unsigned() & 0xffff_ffff);
+    Ok(half(high)? << 32 | half(low)?)
+}
+
+/// A number of 64 bits in two registers, the high word first.
+fn wide(camera: &dyn Features, [high, low]: [u64; 2]) -> Result<u64, Failed> {
+    Ok(u64::from(camera.register(high)?) << 32 | u64::from(camera.register(low)?))
 }
 
 /// The first way to read a camera's clock that keeps time with the host's clock.

@@ -113,17 +113,6 @@ pub fn stated_frequency(camera: &dyn Features) -> Result<Option<u64>, CameraErro
     Ok(answered(camera.integer(FEATURE))?.and_then(|hz| u64::try_from(hz).ok()).filter(|hz| *hz > 0))
 }
 
-/// A number of 64 bits in two features of 32 bits, the high word first.
-pub fn halves(camera: &dyn Features, [high, low]: [&str; 2]) -> Result<u64, Failed> {
-    let half = |name| camera.integer(name).map(|half| half.cast_unsigned() & 0xffff_ffff);
-    Ok(half(high)? << 32 | half(low)?)
-}
-
-/// A number of 64 bits in two registers, the high word first.
-pub fn wide(camera: &dyn Features, [high, low]: [u64; 2]) -> Result<u64, Failed> {
-    Ok(u64::from(camera.register(high)?) << 32 | u64::from(camera.register(low)?))
-}
-
 /// Most features of a camera's recorded state; no known camera has as many that can be read.
 const FEATURES_MAX: usize = 2000;
 /// Most bytes of names and values in a camera's recorded state, because it is in the header of each segment.

@@ -227,13 +227,36 @@ async fn write_down(
 
 /// Of a request that is longer than 4096 bytes, its beginning as text: one request must not fill the log.
 fn shortened(request: serde_json::Value) -> serde_json::Value {
-    const LONGEST: usize = 4096;
+    const LINE: usize = 4096;
+    const TEXT: usize = 200;
+    let cut = |text: &str, to: usize| {
+        let kept: String = text.chars().take(to).collect();
+        let all = text.chars().count();
+        if kept.len() == text.len() { kept } else { format!("{kept}... ({all} characters)") }
+    };
     let whole = request.to_string();
-    if whole.len() <= LONGEST {
+    if whole.len() <= LINE {
         return request;
     }
-    let kept: String = whole.chars().take(LONGEST).collect();
-    format!("{kept}... ({} characters)", whole.chars().count()).into()
+    let fields = match request {
+        serde_json::Value::Object(fields) => fields,
+        _ => return serde_json::Value::String(cut(&whole, TEXT)),
+    };
+    let short = fields.into_iter().take(64).map(|(name, value)| {
+        let value = match value {
+            serde_json::Value::String(text) => serde_json::Value::String(cut(&text, TEXT)),
+            value if value.to_string().len() > TEXT => {
+                serde_json::Value::String(cut(&value.to_string(), TEXT))
+            }
+            value => value,
+        };
+        (cut(&name, TEXT), value)
+    });
+    let short = serde_json::Value::Object(short.collect());
+    match short.to_string().len() <= 8 * LINE {
+        true => short,
+        false => serde_json::Value::String(cut(&whole, TEXT)),
+    }
 }
 
 struct Log {
@@ -366,10 +389,13 @@ mod tests {
     fn of_a_long_request_the_beginning_is_kept() {
         let short = serde_json::json!({ "session_id": 7, "note": "n" });
         assert_eq!(super::shortened(short.clone()), short);
-        let long = serde_json::json!({ "session_id": 7, "note": "n".repeat(60_000) });
-        let (length, kept) = (long.to_string().len(), super::shortened(long).to_string());
-        assert!(kept.contains("nnn... (") && kept.contains(&format!("({length} characters)")), "{kept}");
-        assert!(kept.len() < 4200);
+        let long = super::shortened(serde_json::json!({ "session_id": 7, "note": "n".repeat(60_000) }));
+        assert_eq!(long["session_id"], 7);
+        assert!(long["note"].as_str().is_some_and(|note| note.ends_with("(60000 characters)")), "{long}");
+        for wild in [serde_json::json!(vec![1; 30_000]), serde_json::json!({ "a": { "b": vec![1; 30_000] } })]
+        {
+            assert!(super::shortened(wild).to_string().len() < 1000);
+        }
     }
 
     #[test]

@@ -149,7 +149,7 @@ impl Node {
         let Some(id) = session.cameras.get(camera).map(|camera| camera.id.clone()) else { return };
         let problem = match report {
             CameraReport::Lost(reason) => {
-                let message = format!("camera {id} stopped answering: is it unplugged or off? ({reason})");
+                let message = format!("camera {id} is lost: {reason}");
                 self.devices.set_problem(camera, Some(message.clone()));
                 self.note(EventKind::CameraLost, Some(id), message.as_str());
                 let fatal = match self.machine.phase() {

@@ -171,6 +171,9 @@ impl Table {
         }
         let period = ms(period);
         close.note(None, notes, |step| {
+            if step <= 0.0 {
+                return format!("HSU time is not after that of the trigger before: {:.0} ns", step * 1e6);
+            }
             format!(
                 "fired {step:.3} ms after the trigger before; expected at least 7/8 of a period of {period:.3} ms"
             )
