@@ -56,8 +56,17 @@ fn node(name: &str) -> NodeId {
     NodeId::from(name)
 }
 
+/// A process that another test is just starting holds the lock of every open line until its program runs.
 fn connect(path: &Path, role: &str) -> Hsu {
-    Hsu::connect(path, &node(role), &HsuTimeouts::default()).expect("a unit that answers")
+    for _ in 0..50 {
+        match Hsu::connect(path, &node(role), &HsuTimeouts::default()) {
+            Err(e) if e.to_string().contains("exclusive lock") => {
+                std::thread::sleep(Duration::from_millis(100))
+            }
+            link => return link.expect("a unit that answers"),
+        }
+    }
+    panic!("{} stays locked", path.display());
 }
 
 fn rig_timing() -> HsuTiming {

@@ -3,14 +3,14 @@
 
 use super::writer_queue::{Sink, ToWriter};
 use crate::base::ids::TriggerIndex;
-use crate::record::{CameraTally, Noted, RecordError, RecordingHeader, SessionEnd, Verdict};
+use crate::record::{CameraTally, Noted, RecordError, RecordingHeader, SessionEnd, TriggerSet, Verdict};
 
 /// The destination of a dry run, in place of a recording.
 #[derive(Debug)]
 pub struct DryRun {
     header: RecordingHeader,
     tallies: Vec<CameraTally>,
-    triggers_end: u64,
+    rows: TriggerSet,
     noted: Noted,
 }
 
@@ -18,7 +18,7 @@ impl DryRun {
     /// A dry run of the session that `header` describes; nothing is created on disk.
     pub fn new(header: RecordingHeader) -> Self {
         let tallies = vec![CameraTally::default(); header.cameras.len()];
-        Self { header, tallies, triggers_end: 0, noted: Noted::default() }
+        Self { header, tallies, rows: TriggerSet::default(), noted: Noted::default() }
     }
 }
 
@@ -32,7 +32,7 @@ impl Sink for DryRun {
                 self.tallies.get_mut(camera).is_none_or(|tally| tally.gap(trigger, cause))
             }
             ToWriter::Trigger(record) => {
-                self.triggers_end = self.triggers_end.max(record.index.0.saturating_add(1));
+                self.rows.insert(record.index.0);
                 true
             }
             ToWriter::Event(event) => {
@@ -46,13 +46,13 @@ impl Sink for DryRun {
     }
 
     fn finish(mut self: Box<Self>, end: SessionEnd) -> Result<Verdict, RecordError> {
-        let triggers = Verdict::triggers(&self.tallies, self.triggers_end, &end);
+        let triggers = Verdict::triggers(&self.tallies, self.rows.end(), &end);
         for tally in &mut self.tallies {
             for trigger in tally.seen().absent(triggers).into_iter().flatten() {
                 tally.gap(TriggerIndex(trigger), end.absent);
             }
         }
-        Ok(Verdict::of(&self.header, &self.tallies, triggers, self.noted, end))
+        Ok(Verdict::of(&self.header, &self.tallies, &self.rows, triggers, self.noted, end))
     }
 }
 

@@ -26,7 +26,7 @@ pub use event::{HsuEvent, LinkLoss};
 pub use link::HsuTimeouts;
 pub use timing::{ArmRequest, HsuTiming, session_id, trigger_index};
 pub use trigger_unit::TriggerUnit;
-pub use unit::{ClockSample, HeardTimeCodes, Hsu, InputEdges};
+pub use unit::{ClockSample, HeardTimeCodes, Hsu, InputEdges, UnderWay};
 
 pub use hsu_firmware_proto::{
     EDGE_HISTORY, Edge, Edges, EndReason, Fault, HeadTiming, INPUTS, Identity, LinkId, Refusal, SessionId,

@@ -2,16 +2,17 @@
 //! The link over an in-memory line: the firmware's state machine at the other end, portions of any size, and
 //! frames that get lost.
 
+use super::HsuEvent;
 use super::Refusal;
 use super::error::HsuError;
 use super::link::{HsuTimeouts, Link, Patience};
-use super::unit::Hsu;
+use super::unit::{Hsu, UnderWay};
 use crate::base::ids::NodeId;
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, unbounded};
 use hsu_firmware_proto::frame::{self, Decoder};
 use hsu_firmware_proto::{
-    HeadTiming, Hello, HostToUnit, Identity, LinkId, MAX_MESSAGE, NodeName, Request, TriggerRecord, Unit,
-    UnitOutputs, UnitToHost, version,
+    HeadTiming, Hello, HostToUnit, Identity, LinkId, MAX_MESSAGE, NodeName, Request, SessionId,
+    TriggerRecord, TriggerRecords, Unit, UnitOutputs, UnitToHost, version,
 };
 use proptest::prelude::{ProptestConfig, any, prop, prop_assert, prop_assert_eq, proptest};
 use std::io::{self, ErrorKind, Read, Write};
@@ -178,7 +179,49 @@ fn a_broken_line_is_reported_at_once() {
 
 fn connect(answer: impl FnMut(&[u8]) -> Vec<UnitToHost> + Send + 'static) -> Result<Hsu, HsuError> {
     let (reader, writer, _) = far_end(vec![7], answer);
-    Hsu::over(reader, writer, "a test line".into(), &NodeId::from("a"), &HsuTimeouts::default())
+    Hsu::over(reader, writer, "a test line".into(), &NodeId::from("a"), &HsuTimeouts::default(), None)
+}
+
+/// The unit reports a trigger together with its greeting, before anybody else of the host has had a turn.
+#[test]
+fn triggers_before_a_new_connection_are_requested() {
+    let (mut unit, mut greeted) = (unit(), false);
+    let record = |number: i64| TriggerRecord {
+        number,
+        time_ns: 8_333_333 * number.unsigned_abs(),
+        ..TriggerRecord::default()
+    };
+    let answer = move |message: &[u8]| {
+        let request = HostToUnit::decode(message).expect("a request");
+        let mut answers = Answers(Vec::new());
+        match request.request {
+            Request::QueryTriggers { session, first, count } => {
+                let mut records = TriggerRecords::default();
+                (first..first + i64::from(count)).take_while(|&i| records.push(record(i))).for_each(drop);
+                answers.0.push(UnitToHost::Triggers(request.request_id, session, records));
+            }
+            _ => unit.receive(LinkId::A, 0, message, &mut answers),
+        }
+        if !std::mem::replace(&mut greeted, true) {
+            answers.0.push(UnitToHost::Trigger(SessionId([9; 16]), record(14)));
+        }
+        answers.0
+    };
+    let (reader, writer, _) = far_end(vec![7], answer);
+    let session = Some(UnderWay { session: SessionId([9; 16]), next: 11 });
+    let role = NodeId::from("a");
+    let hsu = Hsu::over(reader, writer, "a test line".into(), &role, &HsuTimeouts::default(), session);
+    let hsu = hsu.expect("greeted");
+    let next = || {
+        loop {
+            match hsu.events().recv_timeout(Duration::from_secs(30)).expect("an event") {
+                HsuEvent::Trigger { trigger, .. } => return trigger.number,
+                HsuEvent::TriggersMissing { .. } => panic!("nothing is missing"),
+                _ => {}
+            }
+        }
+    };
+    assert_eq!([next(), next(), next(), next()], [11, 12, 13, 14]);
 }
 
 #[test]
@@ -212,8 +255,14 @@ fn another_product_is_refused_by_name() {
 fn names_that_do_not_fit_the_wire_are_refused() {
     for role in ["", "a-node-with-a-name-of-33-characters"] {
         let (reader, writer, _) = far_end(vec![1], |_| Vec::new());
-        let result =
-            Hsu::over(reader, writer, "a test line".into(), &NodeId::from(role), &HsuTimeouts::default());
+        let result = Hsu::over(
+            reader,
+            writer,
+            "a test line".into(),
+            &NodeId::from(role),
+            &HsuTimeouts::default(),
+            None,
+        );
         let error = result.expect_err("no name for the wire").to_string();
         assert!(error.contains("expected 1 to 16 bytes"), "{error}");
     }

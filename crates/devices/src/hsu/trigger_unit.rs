@@ -4,7 +4,7 @@
 use super::action::ActionSetup;
 use super::error::HsuError;
 use super::link::HsuTimeouts;
-use super::unit::Hsu;
+use super::unit::{Hsu, UnderWay};
 use crate::base::ids::NodeId;
 use crate::config::{NodeConfig, TriggerSource};
 use std::path::PathBuf;
@@ -47,9 +47,28 @@ impl TriggerUnit {
 
     /// Connects to the source and greets it as this node.
     pub fn connect(&self, role: &NodeId, timeouts: &HsuTimeouts) -> Result<Hsu, HsuError> {
+        self.open(role, timeouts, None)
+    }
+
+    /// As [`Self::connect`], in a session that goes on.
+    pub fn reconnect(
+        &self,
+        role: &NodeId,
+        timeouts: &HsuTimeouts,
+        session: UnderWay,
+    ) -> Result<Hsu, HsuError> {
+        self.open(role, timeouts, Some(session))
+    }
+
+    fn open(
+        &self,
+        role: &NodeId,
+        timeouts: &HsuTimeouts,
+        session: Option<UnderWay>,
+    ) -> Result<Hsu, HsuError> {
         match self {
-            Self::Serial { device, .. } => Hsu::connect(device, role, timeouts),
-            Self::Action(setup) => setup.connect(role, timeouts),
+            Self::Serial { device, .. } => Hsu::open(device, role, timeouts, session),
+            Self::Action(setup) => setup.connect(role, timeouts, session),
         }
     }
 }

@@ -75,9 +75,27 @@ pub struct Hsu {
     keeper: Option<JoinHandle<()>>,
 }
 
+/// A session that an earlier connection has armed.
+#[derive(Debug, Clone, Copy)]
+pub struct UnderWay {
+    pub session: SessionId,
+    /// The first trigger that was not reported; those that were fired in the meantime are requested.
+    pub next: i64,
+}
+
 impl Hsu {
     /// Opens the serial device and greets the unit as node `role`. From then on heartbeats are sent automatically.
     pub fn connect(device: &Path, role: &NodeId, timeouts: &HsuTimeouts) -> Result<Self, HsuError> {
+        Self::open(device, role, timeouts, None)
+    }
+
+    /// As [`Self::connect`]; goes on with a session that an earlier connection has armed, if there is one.
+    pub(super) fn open(
+        device: &Path,
+        role: &NodeId,
+        timeouts: &HsuTimeouts,
+        session: Option<UnderWay>,
+    ) -> Result<Self, HsuError> {
         let name = device.display().to_string();
         let open = |error: serialport::Error| HsuError::Open {
             device: device.display().to_string(),
@@ -87,7 +105,7 @@ impl Hsu {
         // Discard bytes of an earlier connection in the driver.
         writer.clear(serialport::ClearBuffer::Input).map_err(open)?;
         let reader = writer.try_clone().map_err(open)?;
-        Self::over(reader, writer, name, role, timeouts)
+        Self::over(reader, writer, name, role, timeouts, session)
     }
 
     /// As [`Self::connect`], over any byte stream; see [`Link::start`] for what `reader` must do.
@@ -97,9 +115,14 @@ impl Hsu {
         device: String,
         role: &NodeId,
         timeouts: &HsuTimeouts,
+        session: Option<UnderWay>,
     ) -> Result<Self, HsuError> {
         let role = node_name(role)?;
         let feed = Arc::new(Feed::new());
+        // Before the first byte: a trigger of a session that is not known begins it, and nothing before would be requested.
+        if let Some(UnderWay { session, next }) = session {
+            feed.begin(session, next);
+        }
         let (wake, woken) = bounded(1);
         let for_link = (feed.clone(), wake.clone());
         let broken =
@@ -181,12 +204,6 @@ impl Hsu {
         let wire = request.to_wire(digest)?;
         self.conversation.feed.begin(wire.session, -i64::from(wire.warm_up));
         self.command("arming", Request::Arm(wire))
-    }
-
-    /// Takes up the triggers of a session that another connection has armed, from number `next` on; triggers that
-    /// were fired in the meantime are requested.
-    pub fn resume(&self, session: SessionId, next: i64) {
-        self.conversation.feed.begin(session, next);
     }
 
     /// Waits until all nodes have armed the session, or it is already running or finished.

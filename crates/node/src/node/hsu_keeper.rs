@@ -8,7 +8,7 @@ use super::time_code::{LAST_FRAME, TimeCodeKeeper};
 use crate::acquire::recorder::RecorderCommand;
 use crate::base::ids::NodeId;
 use crate::base::time::HostClock;
-use crate::hsu::{Hsu, HsuTimeouts, SessionId, TriggerUnit};
+use crate::hsu::{Hsu, HsuTimeouts, SessionId, TriggerUnit, UnderWay};
 use crate::record::{ClockSample, NodeEvent};
 use crossbeam_channel::{Receiver as Inbox, RecvTimeoutError, Sender, bounded};
 use std::sync::Arc;
@@ -141,17 +141,18 @@ fn run(setup: LinkSetup, inbox: &Inbox<Order>) {
                     }
                 }
             }
-            (None, Some(next)) => match unit.connect(&node, &HsuTimeouts::default()) {
-                Ok(link) => {
-                    link.resume(session, next);
-                    time_code.reconnected();
-                    let link = Arc::new(link);
-                    hsu = Some(Arc::clone(&link));
-                    missing = None;
-                    drop(back.send(link));
+            (None, Some(next)) => {
+                match unit.reconnect(&node, &HsuTimeouts::default(), UnderWay { session, next }) {
+                    Ok(link) => {
+                        time_code.reconnected();
+                        let link = Arc::new(link);
+                        hsu = Some(Arc::clone(&link));
+                        missing = None;
+                        drop(back.send(link));
+                    }
+                    Err(error) => tracing::debug!("HSU not back yet: {error}"),
                 }
-                Err(error) => tracing::debug!("HSU not back yet: {error}"),
-            },
+            }
             _ => {}
         }
     }

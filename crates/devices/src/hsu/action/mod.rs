@@ -18,7 +18,7 @@ pub use tally::ActionTally;
 
 use super::error::HsuError;
 use super::link::HsuTimeouts;
-use super::unit::Hsu;
+use super::unit::{Hsu, UnderWay};
 use crate::base::ids::{CameraId, NodeId};
 use crate::config::{ACTION_COMMANDS, ActionConfig, NodeConfig};
 use crate::network::ActionKeys;
@@ -61,11 +61,16 @@ impl ActionSetup {
     }
 
     /// Starts a unit in this process and greets it as this node; it ends with the link.
-    pub(super) fn connect(&self, role: &NodeId, timeouts: &HsuTimeouts) -> Result<Hsu, HsuError> {
+    pub(super) fn connect(
+        &self,
+        role: &NodeId,
+        timeouts: &HsuTimeouts,
+        session: Option<UnderWay>,
+    ) -> Result<Hsu, HsuError> {
         let device = ACTION_COMMANDS.to_owned();
         let (reader, writer) = engine::start(self)
             .map_err(|error| HsuError::Io { device: device.clone(), cause: error.to_string() })?;
-        Hsu::over(reader, writer, device, role, timeouts)
+        Hsu::over(reader, writer, device, role, timeouts, session)
     }
 }
 

@@ -29,7 +29,7 @@ fn setup(address: Ipv4Addr, ptp: Option<PtpClock>) -> ActionSetup {
 /// Fires triggers; gives their numbers and times, and when each report arrived.
 fn train(setup: &ActionSetup, triggers: u64) -> Vec<(i64, u64, u64)> {
     let role = NodeId("a".to_owned());
-    let hsu = setup.connect(&role, &HsuTimeouts::default()).expect("a unit");
+    let hsu = setup.connect(&role, &HsuTimeouts::default(), None).expect("a unit");
     fire(&hsu, role, triggers)
 }
 
