@@ -72,5 +72,5 @@ pub use statistics::{DiskProgress, WriteStatistics};
 pub use time_code::{HeardTimeCode, TimeCodeLine};
 pub use time_scale::ScaleFound;
 pub use unfinished::{Interrupted, interrupted};
-pub use verdict::{CameraTally, CameraVerdict, SessionEnd, Status, Verdict};
+pub use verdict::{CameraTally, CameraVerdict, SessionEnd, Status, TriggerSet, Verdict};
 pub use writer::{BLOCKS_HELD, RecordError, Recording, WriterOptions};

@@ -77,6 +77,9 @@ pub struct Verdict {
     pub triggers_emitted: Option<u64>,
     /// Per camera, in the recording's order.
     pub cameras: Vec<CameraVerdict>,
+    /// Triggers without a row in the HSU's table: when they were fired is not known.
+    #[serde(default)]
+    pub untimed: u64,
     /// Outcomes that were refused: a second one for a trigger, or one that lies outside the session. Each
     /// is an event in the recording.
     pub refused: u64,
@@ -119,6 +122,7 @@ impl Verdict {
     pub fn of(
         header: &RecordingHeader,
         tallies: &[CameraTally],
+        rows: &TriggerSet,
         triggers: u64,
         noted: Noted,
         end: SessionEnd,
@@ -132,6 +136,7 @@ impl Verdict {
             triggers_emitted: end.triggers_emitted,
             advice: Advice::of(tallies.iter().map(CameraTally::rhythm).zip(&cameras)),
             cameras,
+            untimed: Self::untimed(header, rows, triggers),
             refused: noted.refused,
             unconfirmed: noted.unconfirmed,
             changed: noted.changed,
@@ -142,13 +147,19 @@ impl Verdict {
         verdict
     }
 
+    /// How many triggers have no row; a recording without an HSU has no table.
+    pub fn untimed(header: &RecordingHeader, rows: &TriggerSet, triggers: u64) -> u64 {
+        let absent = || rows.absent(triggers).into_iter().map(|range| range.end - range.start).sum();
+        header.hsu.as_ref().map_or(0, |_| absent())
+    }
+
     /// Derives the status from everything else.
     pub fn judge(&self) -> Status {
         let as_requested = self.triggers_expected.is_none_or(|n| n == self.triggers);
         let counted = self.triggers_emitted == Some(self.triggers);
         if self.aborted.is_some() {
             Status::Aborted
-        } else if as_requested && counted && self.gaps() == 0 && self.refused == 0 {
+        } else if as_requested && counted && self.gaps() == 0 && self.untimed == 0 && self.refused == 0 {
             if self.unconfirmed == 0 && self.changed.is_empty() && self.not_simultaneous.is_empty() {
                 Status::Complete
             } else {
@@ -170,6 +181,9 @@ impl fmt::Display for Verdict {
             (_, None) => write!(f, " (the HSU's count is missing)")?,
             (_, Some(n)) if n != triggers => write!(f, " (the HSU counted {n})")?,
             _ => {}
+        }
+        if self.untimed > 0 {
+            write!(f, "; the times of {} triggers are lost", self.untimed)?;
         }
         if self.refused > 0 {
             write!(f, "; {} outcomes refused", self.refused)?;
@@ -335,9 +349,9 @@ impl CameraTally {
 
 #[cfg(test)]
 mod tests {
-    use super::{Advice, Noted, Status, TriggerSet, Verdict};
-    use crate::base::ids::CameraId;
-    use crate::layout::NodeEvent;
+    use super::{Advice, CameraTally, Noted, SessionEnd, Status, TriggerSet, Verdict};
+    use crate::base::ids::{CameraId, TriggerIndex};
+    use crate::layout::{GapCause, HsuIdentity, NodeEvent, RecordingHeader};
     use crate::{SETTING_CHANGED, TriggerRow};
     use proptest::prelude::*;
     use std::collections::BTreeSet;
@@ -377,6 +391,7 @@ mod tests {
             triggers_expected: Some(3),
             triggers_emitted: Some(3),
             cameras: Vec::new(),
+            untimed: 0,
             refused: 0,
             unconfirmed: 0,
             changed: noted.changed.clone(),
@@ -399,6 +414,24 @@ mod tests {
             text.contains("not simultaneous with the others: h1_low, triggers 11 to 13: it came late"),
             "{text}"
         );
+    }
+
+    #[test]
+    fn triggers_without_a_row_are_loss() {
+        let mut header = crate::writer::tests::header(Some(4));
+        let mut tally = CameraTally::default();
+        (0..4).for_each(|trigger| assert!(tally.frame(TriggerIndex(trigger))));
+        let mut rows = TriggerSet::default();
+        [0, 2, 3].into_iter().for_each(|row| assert!(rows.insert(row)));
+        let of = |header: &RecordingHeader| {
+            let absent = GapCause::IdentityMismatch;
+            let end = SessionEnd { triggers_emitted: Some(4), aborted: None, absent, host_time_ns: 0 };
+            Verdict::of(header, &[tally.clone(), tally.clone()], &rows, 4, Noted::default(), end)
+        };
+        assert_eq!((of(&header).untimed, of(&header).status), (0, Status::Complete), "without an HSU");
+        header.hsu = Some(HsuIdentity { uid: "7".to_owned(), firmware: "1".to_owned(), protocol: 1 });
+        assert_eq!((of(&header).untimed, of(&header).status), (1, Status::Incomplete));
+        assert!(of(&header).to_string().contains("the times of 1 triggers are lost"));
     }
 
     #[test]

@@ -15,7 +15,7 @@ use super::noted::{Noted, REFUSED};
 use super::open_chunk::QUEUE;
 use super::segment::{Closing, JsonChannel, Segment};
 use super::statistics::{DiskProgress, WriteStatistics};
-use super::verdict::{CameraTally, SessionEnd, Verdict};
+use super::verdict::{CameraTally, SessionEnd, TriggerSet, Verdict};
 use crate::base::ids::{CameraId, TriggerIndex};
 use crate::host::frame_memory::Block;
 use serde::Serialize;
@@ -75,7 +75,7 @@ pub struct Recording {
     next_number: u32,
     unwritten: Vec<Unwritten>,
     stopped: Option<String>,
-    triggers_end: u64,
+    rows: TriggerSet,
     noted: Noted,
     time_ns: u64,
     last_sync: Instant,
@@ -140,7 +140,7 @@ impl Recording {
             next_number: 0,
             unwritten: Vec::new(),
             stopped: None,
-            triggers_end: 0,
+            rows: TriggerSet::default(),
             noted: Noted::default(),
             last_sync: Instant::now(),
             unsynced: 0,
@@ -313,11 +313,9 @@ impl Recording {
 
     /// Records a row of the HSU's trigger table.
     pub fn trigger(&mut self, record: &TriggerRecord) -> Result<(), RecordError> {
-        self.json(JsonChannel::Triggers, record.index, record.host_time_ns, record)?;
-        if record.index.0 < MAX_TRIGGERS {
-            self.triggers_end = self.triggers_end.max(record.index.0 + 1);
-        }
-        Ok(())
+        // What cannot be written now is tried again.
+        self.rows.insert(record.index.0);
+        self.json(JsonChannel::Triggers, record.index, record.host_time_ns, record)
     }
 
     /// Records an exchange with a device's clock.
@@ -348,7 +346,7 @@ impl Recording {
     /// everything on the medium.
     pub fn finish(mut self, end: SessionEnd) -> Result<Verdict, RecordError> {
         self.time_ns = self.time_ns.max(end.host_time_ns);
-        let triggers = Verdict::triggers(&self.tallies, self.triggers_end, &end);
+        let triggers = Verdict::triggers(&self.tallies, self.rows.end(), &end);
         for camera in 0..self.tallies.len() {
             for range in self.tallies[camera].seen().absent(triggers) {
                 for trigger in range {
@@ -361,7 +359,7 @@ impl Recording {
         let _ = self.sync();
         let _ = self.settle_all();
         let closed = self.join_closing();
-        let verdict = Verdict::of(&self.header, &self.tallies, triggers, self.noted.clone(), end);
+        let verdict = Verdict::of(&self.header, &self.tallies, &self.rows, triggers, self.noted.clone(), end);
         let result = closed.and(self.close(&verdict));
         result.map_err(|source| RecordError::Unfinished {
             path: self.dir.clone(),

@@ -70,6 +70,11 @@ impl Medium {
         self.drawn.faults.clear();
     }
 
+    /// What is there now is all that it holds.
+    pub fn fill(&mut self) {
+        (self.drawn.capacity, self.drawn.announced) = (Some(self.used), None);
+    }
+
     /// Whether the disk is gone, so that every change fails.
     pub fn is_gone(&self) -> bool {
         self.gone

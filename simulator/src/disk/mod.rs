@@ -92,6 +92,11 @@ impl SimulatedDisk {
         self.shared.set_unreadable(faults);
     }
 
+    /// There is no room on the disk from now on, until it is repaired.
+    pub fn fill(&self) {
+        self.shared.fill();
+    }
+
     /// Ends all faults: from now on the disk is sound.
     pub fn repair(&self) {
         self.shared.repair();

@@ -78,6 +78,11 @@ impl Shared {
         Self { root, node: node.to_owned(), fallocate, truth, unreadable, state }
     }
 
+    /// There is no room any more.
+    pub fn fill(&self) {
+        self.lock().medium.fill();
+    }
+
     /// Ends all faults: from now on every call succeeds.
     pub fn repair(&self) {
         self.lock().medium.repair();

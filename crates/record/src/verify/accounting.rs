@@ -6,7 +6,7 @@ use crate::layout::MAX_TRIGGERS;
 use crate::noted::{Noted, REFUSED, SETTING_CHANGED, UNCONFIRMED};
 use crate::reader::{GapRun, RecordingReader};
 use crate::simultaneous::TriggerRow;
-use crate::verdict::{Status, Verdict};
+use crate::verdict::{Status, TriggerSet, Verdict};
 
 /// The verdict as the records give it. What records cannot show (the HSU's count, why it was aborted) comes
 /// from the stored one.
@@ -21,6 +21,7 @@ pub fn recount(recording: &RecordingReader) -> Verdict {
         triggers_expected: recording.header.expected_triggers,
         triggers_emitted: emitted,
         cameras: recording.counted(),
+        untimed: 0,
         refused: noted.refused,
         unconfirmed: noted.unconfirmed,
         changed: noted.changed,
@@ -28,8 +29,21 @@ pub fn recount(recording: &RecordingReader) -> Verdict {
         aborted: stored.and_then(|verdict| verdict.aborted.clone()),
         advice: recording.advice(),
     };
+    let mut rows = TriggerSet::default();
+    for index in recording.triggers.keys() {
+        rows.insert(index.0);
+    }
+    verdict.untimed = Verdict::untimed(&recording.header, &rows, verdict.triggers);
     verdict.status = verdict.judge();
     verdict
+}
+
+/// The verdict without the count of missing rows, which earlier versions did not store: rows that are missing are noted by
+/// themselves.
+fn without_rows(verdict: &Verdict) -> Verdict {
+    let mut without = Verdict { untimed: 0, ..verdict.clone() };
+    without.status = without.judge();
+    without
 }
 
 /// Compares the accounting with what was stored and with itself.
@@ -43,7 +57,7 @@ pub fn check(recording: &RecordingReader, verdict: &Verdict, notes: &mut Notes) 
             let message = "no verdict: the recording was not finished; run `fourdbody recover`";
             notes.add(Severity::Corrupt, None, None, None, message);
         }
-        Some(stored) if stored != verdict => {
+        Some(stored) if stored != verdict && *stored != without_rows(verdict) => {
             let message =
                 format!("the stored verdict differs from the records; stored: {stored}; counted: {verdict}");
             notes.add(Severity::Corrupt, None, None, None, message);
