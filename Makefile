@@ -1,6 +1,7 @@
 # fourdbody: each target installs the Debian packages that it needs and that are missing, and says so.
 #
 #   make demo      simulator, two nodes, one session, verified, reconstructed and scored
+#   make lab       eight simulated cameras, HSU, two nodes and a body that walks: the console to try, with faults to type
 #   make test      everything that can be tested on this machine
 #   make check     after a change: does everything compile, and do the tests beside the code pass
 #   make lint      formatting and lints, all fatal; with make deny
@@ -13,6 +14,8 @@
 #   make bench-play            what it costs a browser to play 1200 frame sets: memory, first picture, seeks
 #   make bench-worker          frame sets an hour with reading, verifying and writing, beside the reconstruction itself
 #   make poses     fringe orders on 224 camera frames of moving mannequins; BATTERY=held_out_again or bodies: of others
+#   make geometry  fringe orders at other distances, volumes, periods, heads and cameras a head
+#   make drift     what `calibration check` finds where devices have turned or shifted, and what its correction is worth
 #   make noise     the same with half a grey value of noise (NOISE_DN)
 #   make light     striped shirts, tattoos, little and too much light, defocus, devices that have turned
 #   make real      photographs that others took, against what others make of many (fetched, or named as skipped)
@@ -26,7 +29,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses noise light real validate figures packages test-packages clean-out fuzz third-party
+.PHONY: all demo lab test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses geometry drift noise light real validate figures packages test-packages clean-out fuzz third-party
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -53,6 +56,10 @@ test-packages: packages
 demo: packages
 	$(CARGO) build --release --workspace
 	scripts/demo.sh
+
+lab: packages
+	$(CARGO) build --release --workspace
+	target/release/fourdbody-sim lab --dir target/lab
 
 # Not what `make lint` compiles anyway: the tests without Aravis, and the examples.
 test: test-packages
@@ -113,6 +120,14 @@ matrix: packages
 poses: packages
 	$(CARGO) build --release --workspace
 	scripts/poses.sh
+
+geometry: packages
+	$(CARGO) build --release --workspace
+	python3 scripts/geometry.py
+
+drift: packages
+	$(CARGO) build --release --workspace
+	python3 scripts/drift.py
 
 noise: packages
 	$(CARGO) build --release --workspace

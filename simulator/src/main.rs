@@ -20,6 +20,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    Lab(cmds::lab::Args),
     Run(cmds::run::Args),
     Render(cmds::render::Args),
     ExportPng(cmds::export_png::Args),
@@ -48,6 +49,7 @@ fn main() -> ExitCode {
 
 fn run(command: &Command) -> Result<Exit, Failure> {
     match command {
+        Command::Lab(args) => cmds::lab::run(args),
         Command::Run(args) => cmds::run::run(args),
         Command::Render(args) => cmds::render::run(args),
         Command::ExportPng(args) => cmds::export_png::run(args),

@@ -79,6 +79,7 @@ mod kills;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
 mod lab;
+mod lab_command;
 #[cfg(feature = "aravis")]
 mod matrix;
 mod merging;

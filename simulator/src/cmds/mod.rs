@@ -8,6 +8,7 @@ pub mod compare_rig;
 pub mod convert_rig;
 pub mod export_png;
 pub mod gather;
+pub mod lab;
 pub mod render;
 pub mod run;
 pub mod summarize;

@@ -135,7 +135,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .collect();
     println!("{}", serde_json::json!({ "ready": true, "urls": laboratory.urls(), "nodes": nodes }));
     match (signals, patience) {
-        (Some(signals), patience) => signals.wait(patience),
+        (Some(signals), patience) => drop(signals.wait(patience)),
         (None, Some(patience)) => std::thread::sleep(patience),
         (None, None) => loop {
             std::thread::park();
@@ -145,11 +145,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 }
 
 /// The signals that end a program, kept from doing so at once.
-struct EndSignals(libc::sigset_t);
+pub(super) struct EndSignals(libc::sigset_t);
 
 impl EndSignals {
     /// Blocks them in this thread and all that it will start.
-    fn block() -> Self {
+    pub(super) fn block() -> Self {
         // SAFETY: a sigset_t is a plain C struct for which all-zero bytes are a valid value; the calls get pointers to
         // it that are valid for their duration.
         unsafe {
@@ -163,8 +163,8 @@ impl EndSignals {
         }
     }
 
-    /// Returns when one of them came, or the time is over.
-    fn wait(&self, patience: Option<Duration>) {
+    /// Returns when one of them came (true), or the time is over.
+    pub(super) fn wait(&self, patience: Option<Duration>) -> bool {
         let end = patience.map(|patience| std::time::Instant::now() + patience);
         loop {
             let left = end.map_or(Duration::from_secs(3600), |end| {
@@ -177,7 +177,7 @@ impl EndSignals {
             // SAFETY: both pointers are valid for the duration of the call; no information on the signal is requested.
             let signal = unsafe { libc::sigtimedwait(&self.0, std::ptr::null_mut(), &time) };
             if signal > 0 || (end.is_some() && left.is_zero()) {
-                return;
+                return signal > 0;
             }
         }
     }
