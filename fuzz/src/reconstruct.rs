@@ -7,10 +7,10 @@ use fourdbody::config::Rig;
 use fourdbody::data::{Calibration, PanelRows};
 use fourdbody::geometry::Device;
 use fourdbody::geometry::pattern::Pattern;
-use fourdbody::reconstruct::fringe_order::unwrapped_frame::UnwrappedFrame;
-use fourdbody::reconstruct::fringe_order::{self, View};
+use fourdbody::reconstruct::frame_set::{self, Camera};
+use fourdbody::reconstruct::fringe_order::MostDifference;
 use fourdbody::reconstruct::outcome::{Outcome, Reconstruction};
-use fourdbody::reconstruct::pipeline::{self, Method, Pipeline};
+use fourdbody::reconstruct::pipeline::{Method, Pipeline};
 use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use fourdbody::reconstruct::triangulate::triangulator::Triangulator;
 use std::path::PathBuf;
@@ -185,32 +185,21 @@ fn reconstruct(
     if method != Method::Paper {
         let found = together(&pipelines, images);
         found.iter().for_each(|found| hold(found, volume));
-        // Unchanged those of one head confirm each other: else the fuzzer would see refusals only.
-        assert!(changed || found[..2].iter().all(|found| found.outcome == Outcome::Cloud));
+        // Unchanged at least one is borne out by a marker or another head: else the fuzzer would see refusals only. So small
+        // a part of a round column looks much the same one fringe off.
+        assert!(changed || found.iter().any(|found| found.outcome == Outcome::Cloud));
     }
 }
 
 /// The clouds of photographs of one instant.
 fn together(pipelines: &[Pipeline], images: &[Plane<u8>]) -> Vec<Reconstruction> {
-    let all = pipelines.iter().zip(images);
-    let mut prepared: Vec<Result<UnwrappedFrame, _>> =
-        all.map(|(x, image)| x.prepare(Mono8::from(image))).collect();
-    let views = pipelines.iter().zip([0, 0, 1]).zip(&mut prepared).filter_map(|((x, head), prepared)| {
-        Some(View { id: "", triangulator: x.triangulator(), head, prepared: prepared.as_mut().ok()? })
-    });
-    let said = fringe_order::solve(
-        &mut views.collect::<Vec<_>>(),
-        fringe_order::MARGIN,
-        fringe_order::MostDifference::of_rows(1),
-    );
-    let finished = pipelines.iter().zip(prepared).map(|(x, prepared)| match prepared {
-        Ok(prepared) => match &said {
-            Ok(()) => x.finish(prepared),
-            Err(reason) => *pipeline::refuse(prepared, reason.clone()),
-        },
-        Err(refused) => *refused,
-    });
-    finished.collect()
+    let cameras =
+        pipelines.iter().zip([0, 0, 1]).map(|(pipeline, head)| Camera { id: "a camera", head, pipeline });
+    let photograph = |camera: usize| Some(Mono8::from(&images[camera]));
+    frame_set::reconstruct(&cameras.collect::<Vec<_>>(), photograph, MostDifference::of_rows(1))
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 fn hold(found: &Reconstruction, [min, max]: [[f64; 3]; 2]) {

@@ -484,6 +484,9 @@ fn report(args: &Args, summary: &Summary) {
             }
         }
     }
+    if let Some((camera, most)) = summary.differ_rad().into_iter().max_by(|a, b| a.1.total_cmp(&b.1)) {
+        println!("  cameras differ by {most:.3} rad of phase at most where they see one surface: {camera}");
+    }
     for (camera, offset) in summary.marker_offsets_px() {
         if offset.abs() > REMARKABLE_PX {
             println!(

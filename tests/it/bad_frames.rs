@@ -303,6 +303,12 @@ fn a_camera_that_is_taken_for_another_spoils_nothing_and_most_of_them_spoil_all(
     let one = of_cameras(&[(low, up), (low, low), (beside, beside)]);
     assert!(one[0].0 == 0 && one[0].1.as_ref().is_some_and(|reason| reason.contains("dashes")), "{one:?}");
     assert_eq!(one[1..], of_cameras(&[(low, low), (beside, beside)]));
+    // One of the two of a head: nobody confirms the other.
+    let alone = of_cameras(&[(low, up), (low, low)]);
+    assert!(
+        alone[1].0 == 0 && alone[1].1.as_ref().is_some_and(|reason| reason.contains("too few places")),
+        "{alone:?}"
+    );
     // Two of three: the third agrees by chance, as far as can be known.
     let most = of_cameras(&[(low, up), (up, low), (beside, beside)]);
     assert!(most.iter().all(|(points, reason)| *points == 0 && reason.is_some()), "{most:?}");

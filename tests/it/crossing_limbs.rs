@@ -138,14 +138,14 @@ fn fewer_cameras_make_fewer_points_and_no_wrong_ones() {
     let all = photographs(Marker::ZeroMean { amplitude: 0.3 });
     let every_second = |first: usize| (first..all.len()).step_by(2).collect();
     for (set, least) in
-        [((1..all.len()).collect(), 434_000), (every_second(0), 168_000), (every_second(1), 192_000)]
+        [((1..all.len()).collect(), 510_000), (every_second(0), 280_000), (every_second(1), 295_000)]
     {
         let set: Vec<usize> = set;
         let left: Vec<Photograph> = set.iter().map(|&x| all[x].clone()).collect();
         let [points, wrong] = count(&frame_set::clouds(&left));
         println!("cameras {set:?}: {points} points, {wrong} wrong");
         assert!(
-            wrong * 10_000 <= points && points >= least,
+            wrong * 5_000 <= points && points >= least,
             "cameras {set:?}: {points} points, {wrong} wrong"
         );
     }

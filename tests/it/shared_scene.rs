@@ -91,6 +91,9 @@ pub fn calibration(scene: &Path) -> Calibration {
         high: number(&pattern["high"]),
         gamma: number(&pattern["gamma"]),
     };
+    // Its people reach further than those of the shipped rig.
+    shipped.volume_min_m = [-0.85, -0.85, -0.1];
+    shipped.volume_max_m = [0.85, 0.85, 2.1];
     Calibration::new(&shipped, "rig.json of the shared scene".to_owned(), heads.collect())
 }
 
@@ -155,24 +158,24 @@ impl Scored<'_> {
 
 /// What these cameras, which give each other their fringe orders, make of the body.
 fn scored<'a>(scene: &Path, set: &str, calibration: &'a Calibration, is_there: IsThere) -> Vec<Scored<'a>> {
-    scored_with_noise(scene, set, calibration, is_there, None)
+    scored_changed(scene, set, calibration, is_there, |_, _| {})
 }
 
-/// Half a grey value of normal noise, by seed.
-fn noise(image: &mut Plane<u8>, seed: u64, camera: &str) {
+/// This many times the light, and normal noise of this standard deviation in DN, by seed.
+fn expose(image: &mut Plane<u8>, light: f64, noise_dn: f64, (seed, camera): (u64, &str)) {
     let mut random = Stream::new(seed, camera);
     for x in image.as_mut_slice() {
-        *x = (f64::from(*x) + 0.5 * random.normal()).round().clamp(0.0, 255.0) as u8;
+        *x = (light * f64::from(*x) + noise_dn * random.normal()).round().clamp(0.0, 255.0) as u8;
     }
 }
 
-/// The same, with noise of this seed in the photographs.
-fn scored_with_noise<'a>(
+/// The same, with photographs that `change` has changed; it also gets the camera's name.
+fn scored_changed<'a>(
     scene: &Path,
     set: &str,
     calibration: &'a Calibration,
     is_there: IsThere,
-    seed: Option<u64>,
+    change: impl Fn(&mut Plane<u8>, &str),
 ) -> Vec<Scored<'a>> {
     let heads = calibration.heads.iter().enumerate();
     let cameras =
@@ -183,9 +186,7 @@ fn scored_with_noise<'a>(
         let path = scene.join(set).join(camera.id.as_str()).join("000000.png");
         let pair = CameraProjector::new(head, camera, calibration).expect("a usable pair");
         let mut image = read_png_grey(&path).expect("an image");
-        if let Some(seed) = seed {
-            noise(&mut image, seed, camera.id.as_str());
-        }
+        change(&mut image, camera.id.as_str());
         Photograph { head: number, pair, image }
     });
     let clouds = frame_set::clouds(&photographs.collect::<Vec<_>>());
@@ -204,7 +205,7 @@ fn wrong_and_complete(score: &Score) -> String {
     format!("{wrong:.4} % wrong, {complete:.2} % of lit")
 }
 
-/// All cameras give each other their fringe orders. Bounds: what was measured (0.0847 % wrong, 89.79 % of lit; see
+/// All cameras give each other their fringe orders. Bounds: what was measured (0.0846 % wrong, 89.73 % of lit; see
 /// docs/validation.md) and little room, so that a change for the worse shows. With the margin asked of a point, fewer are
 /// wrong and fewer are there.
 #[test]
@@ -262,7 +263,17 @@ fn a_little_noise_changes_a_result_a_little() {
     for set in ["squat", "tattoo"] {
         let scores = [None, Some(1), Some(2), Some(3)].map(|seed| {
             let mut sum = Tally::default();
-            let views = scored_with_noise(&scene, set, &calibration, |_| true, seed);
+            let views = scored_changed(
+                &scene,
+                set,
+                &calibration,
+                |_| true,
+                |image, camera| {
+                    if let Some(seed) = seed {
+                        expose(image, 1.0, 0.5, (seed, camera));
+                    }
+                },
+            );
             views.iter().for_each(|view| sum.join(&view.tally(0.0)));
             let score = sum.score();
             println!("{set}, seed {seed:?}: {}", wrong_and_complete(&score));
@@ -272,6 +283,31 @@ fn a_little_noise_changes_a_result_a_little() {
         let spread = complete.iter().fold(0f64, |most, x| most.max((x - complete[0]).abs()));
         assert!(spread < 0.02, "{set}: {complete:?}");
         assert!(scores.iter().all(|score| score.wrong_order_share < 0.0015), "{set}: {scores:?}");
+    }
+}
+
+/// 2.2 times the light, cut at 255, and a twelfth of it, with the noise of a sensor. Bounds: what was measured, and little room.
+/// Squat may be chosen with, the other is only reported. Ten seconds.
+#[test]
+fn light_may_be_too_strong_or_too_weak() {
+    let Some(scene) = scene() else { return };
+    let calibration = calibration(&scene);
+    let cases = [
+        ("squat", 2.2, 0.001, 0.82),
+        ("squat", 0.08, 0.001, 0.65),
+        ("body_arms_raised", 2.2, 0.0013, 0.89),
+        ("body_arms_raised", 0.08, 0.001, 0.77),
+    ];
+    for (set, light, wrong, complete) in cases {
+        let noise_dn = if light < 1.0 { 0.4 } else { 0.0 };
+        let mut sum = Tally::default();
+        let change = |image: &mut Plane<u8>, camera: &str| expose(image, light, noise_dn, (1, camera));
+        let views = scored_changed(&scene, set, &calibration, |_| true, change);
+        views.iter().for_each(|view| sum.join(&view.tally(0.0)));
+        let score = sum.score();
+        println!("{set}, light x {light}: {}", wrong_and_complete(&score));
+        assert!(score.wrong_order_share < wrong, "{set}, light x {light}: {score:?}");
+        assert!(score.completeness_of_lit > complete, "{set}, light x {light}: {score:?}");
     }
 }
 
@@ -315,10 +351,10 @@ fn fewer_cameras_make_fewer_points_and_not_more_wrong_ones() {
     let calibration = calibration(&scene);
     let cases: [(&str, IsThere, f64, f64); 5] = [
         ("without h0_low", |camera| camera != "h0_low", 0.0008, 0.885),
-        ("without h1_low", |camera| camera != "h1_low", 0.0012, 0.884),
-        ("without h3_up", |camera| camera != "h3_up", 0.0011, 0.887),
-        ("upper cameras", |camera| camera.ends_with("up"), 0.0011, 0.728),
-        ("lower cameras", |camera| camera.ends_with("low"), 0.0013, 0.8),
+        ("without h1_low", |camera| camera != "h1_low", 0.0012, 0.883),
+        ("without h3_up", |camera| camera != "h3_up", 0.0011, 0.888),
+        ("upper cameras", |camera| camera.ends_with("up"), 0.0011, 0.702),
+        ("lower cameras", |camera| camera.ends_with("low"), 0.0013, 0.875),
     ];
     for (name, is_there, wrong, complete) in cases {
         let mut sum = Tally::default();

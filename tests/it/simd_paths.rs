@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The same bytes from any number of threads, any shard and any width of vectors.
 //!
-//! Two photographs of a mannequin by each camera of two heads at half size, reconstructed by child processes: the width is
-//! chosen once per process.
+//! Two photographs of a mannequin by each camera of two heads at half size, one of them over-exposed, reconstructed by child
+//! processes: the width is chosen once per process.
 
+use fourdbody::base::image::{Mono8, read_png_grey, write_png_grey};
 use fourdbody::config::Rig;
 use fourdbody_simulator::cache::{CachedImages, Manifest};
 use fourdbody_simulator::scenario::Scenario;
@@ -33,8 +34,7 @@ pub fn render(dir: &Path, heads: usize) -> PathBuf {
         std::fs::create_dir_all(&folder).expect("writable");
         for instant in 0..2 {
             let image = cached.image(instant).expect("an image");
-            fourdbody::base::image::write_png_grey(&folder.join(format!("{instant:06}.png")), image)
-                .expect("writable");
+            write_png_grey(&folder.join(format!("{instant:06}.png")), image).expect("writable");
         }
     }
     images
@@ -78,13 +78,14 @@ fn reconstruct(dir: &Path, name: &str, simd: Option<&str>, options: &[&[&str]]) 
 #[test]
 fn threads_shards_and_vectors_give_the_same_bytes() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    render(dir.path(), 2);
+    over_expose(&render(dir.path(), 2), 1);
     let run = |name: &str, simd, options: &[&[&str]]| reconstruct(dir.path(), name, simd, options);
     let one = run("one", None, &[&["--jobs", "1"]]);
     assert_eq!(one.len(), 10, "{:?}", one.keys());
     assert!(one.values().map(Vec::len).sum::<usize>() > 1_000_000, "there is something to compare");
     let shards: [&[&str]; 2] = [&["--shard", "0/2", "--jobs", "1"], &["--shard", "1/2", "--jobs", "2"]];
-    let paper: [&[&str]; 1] = [&["--jobs", "1", "--method", "paper"]];
+    // The paper makes nothing of the other.
+    let paper: [&[&str]; 1] = [&["--jobs", "1", "--method", "paper", "--triggers", "0..1"]];
     let two = |simd| run(simd, Some(simd), &[&["--jobs", "2"]]);
     for (name, files) in [
         ("two threads", run("two", None, &[&["--jobs", "2"]])),
@@ -101,6 +102,17 @@ fn threads_shards_and_vectors_give_the_same_bytes() {
     assert_same("phase maps, portable", &maps, &run("phases-portable", Some("portable"), &phases));
     let plain = run("paper", None, &paper);
     assert_same("paper, portable", &plain, &run("paper-portable", Some("portable"), &paper));
+}
+
+/// Gives the photographs of an instant twice their light.
+fn over_expose(images: &Path, instant: u64) {
+    for folder in std::fs::read_dir(images).expect("a directory") {
+        let path = folder.expect("an entry").path().join(format!("{instant:06}.png"));
+        let mut image = read_png_grey(&path).expect("an image");
+        image.as_mut_slice().iter_mut().for_each(|x| *x = x.saturating_mul(2));
+        assert!(image.as_slice().iter().filter(|x| **x == 255).count() > 1000, "{}", path.display());
+        write_png_grey(&path, Mono8::from(&image)).expect("writable");
+    }
 }
 
 fn assert_same(name: &str, expected: &Files, found: &Files) {

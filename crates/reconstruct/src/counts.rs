@@ -16,6 +16,11 @@ pub struct Counts {
     pub dashes: Dashes,
     /// Pixels with a phase that give no point because their fringe order is not certain.
     pub refused: usize,
+    /// By how much the camera differs from the others in the mean, where they see one surface, rad; 0 where too few
+    /// places tell.
+    pub differs_rad: f32,
+    /// Points of the directional cloud.
+    pub points: usize,
     /// Pixels dropped near depth steps, faint or not like a fringe.
     pub dropped: usize,
 }

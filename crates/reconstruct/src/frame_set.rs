@@ -6,6 +6,8 @@ use super::fringe_order::{self, MostDifference, View};
 use super::marker::epipolar_check::Dashes;
 use super::outcome::{Reconstruction, WHY_ELSEWHERE};
 use super::pipeline::{self, Pipeline};
+use crate::base::image::Mono8;
+use rayon::prelude::*;
 
 /// A camera of a frame set, as [`settle`] needs it.
 #[derive(Debug, Clone, Copy)]
@@ -39,6 +41,28 @@ impl From<Result<UnwrappedFrame, Box<Reconstruction>>> for Stage {
     }
 }
 
+/// Reconstructs one instant: `photograph` gives the photograph of a camera, by its place in `cameras`, or `None` where there
+/// is none; it is called once for each, on any thread. One result for each camera, in the same order; `most` as in
+/// [`fringe_order::solve`].
+pub fn reconstruct<'a>(
+    cameras: &[Camera<'_>],
+    photograph: impl Fn(usize) -> Option<Mono8<'a>> + Sync,
+    most: MostDifference,
+) -> Vec<Option<Reconstruction>> {
+    let prepare = |(number, camera): (usize, &Camera<'_>)| match photograph(number) {
+        Some(image) => Stage::from(camera.pipeline.prepare(image)),
+        None => Stage::Missing("gap", String::new()),
+    };
+    let stages = cameras.par_iter().enumerate().with_max_len(1).map(prepare).collect();
+    let finish = |(camera, stage): (&Camera<'_>, Stage)| match stage {
+        Stage::Made(made) => Some(*made),
+        Stage::Unwrapped(prepared) => Some(camera.pipeline.finish(*prepared)),
+        Stage::Missing(..) => None,
+    };
+    let stages = settle(cameras, stages, fringe_order::MARGIN, most);
+    cameras.par_iter().with_max_len(1).zip(stages).map(finish).collect()
+}
+
 /// Finds the fringe orders of all frames together, or refuses the frames. `cameras` and `stages` are in the same order;
 /// `margin` and `most` as in [`fringe_order::solve`].
 pub fn settle(cameras: &[Camera<'_>], stages: Vec<Stage>, margin: f32, most: MostDifference) -> Vec<Stage> {
@@ -53,9 +77,31 @@ pub fn settle(cameras: &[Camera<'_>], stages: Vec<Stage>, margin: f32, most: Mos
         Stage::Made(_) | Stage::Missing(..) => None,
     });
     match fringe_order::solve(&mut views.collect::<Vec<_>>(), margin, most) {
-        Ok(()) => stages,
-        Err(reason) => refuse(stages, &reason),
+        Ok(_) if most == MostDifference::ANY => stages,
+        Ok(compared) => refuse_unconfirmed(cameras, stages, compared),
+        Err(reason) => refuse_all(stages, &reason),
     }
+}
+
+/// Where the marker of one camera contradicts the calibration, another one is believed only as far as it was `compared`
+/// with others: the same may have happened to it.
+fn refuse_unconfirmed(cameras: &[Camera<'_>], stages: Vec<Stage>, compared: Vec<bool>) -> Vec<Stage> {
+    let contradicts =
+        |stage: &Stage| matches!(stage, Stage::Made(result) if result.counts.dashes.contradict());
+    let Some(camera) = cameras.iter().zip(&stages).find(|x| contradicts(x.1)).map(|x| x.0) else {
+        return stages;
+    };
+    let reason = format!(
+        "the marker of {} does not lie where the calibration has it, and too few places show whether this camera \
+         agrees with others; {WHY_ELSEWHERE}",
+        camera.id
+    );
+    let mut compared = compared.into_iter();
+    let check = |stage| match stage {
+        Stage::Unwrapped(_) if compared.next() != Some(true) => refuse(stage, &reason),
+        other => other,
+    };
+    stages.into_iter().map(check).collect()
 }
 
 /// Where the markers of most cameras contradict the calibration, those of the others agree by chance.
@@ -71,14 +117,18 @@ fn refuse_displaced_markers(stages: Vec<Stage>) -> Vec<Stage> {
     let reason = format!(
         "the markers of most other cameras do not lie where the calibration has them; {WHY_ELSEWHERE}"
     );
-    refuse(stages, &reason)
+    refuse_all(stages, &reason)
 }
 
 /// No clouds are made of any frame of a trigger, for this reason.
-fn refuse(stages: Vec<Stage>, reason: &str) -> Vec<Stage> {
-    let refuse = |stage| match stage {
+fn refuse_all(stages: Vec<Stage>, reason: &str) -> Vec<Stage> {
+    stages.into_iter().map(|stage| refuse(stage, reason)).collect()
+}
+
+/// No cloud is made of a frame, for this reason.
+fn refuse(stage: Stage, reason: &str) -> Stage {
+    match stage {
         Stage::Unwrapped(prepared) => Stage::Made(pipeline::refuse(*prepared, reason.to_owned())),
         other => other,
-    };
-    stages.into_iter().map(refuse).collect()
+    }
 }

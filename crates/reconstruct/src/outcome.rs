@@ -25,15 +25,15 @@ pub const WHY_ELSEWHERE: &str =
     "is it the calibration of another camera, or another projector's light, or has a device moved?";
 
 /// The outcome of a frame with this cloud.
-pub(super) fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
-    if cloud.is_empty() && counts.marker == 0 && counts.dashes.stretches > 0 {
+pub(super) fn outcome_of(counts: &Counts) -> Outcome {
+    if counts.points == 0 && counts.marker == 0 && counts.dashes.stretches > 0 {
         Outcome::Refused(format!(
             "what looks like the marker does not lie where the calibration has it, so that no fringe order is \
              known; {WHY_ELSEWHERE}"
         ))
-    } else if cloud.is_empty() && counts.marker == 0 {
+    } else if counts.points == 0 && counts.marker == 0 {
         Outcome::Refused("no marker was found, so that no fringe order is known".to_owned())
-    } else if cloud.is_empty() {
+    } else if counts.points == 0 {
         Outcome::Refused("no pixel has a fringe order that can be trusted".to_owned())
     } else {
         Outcome::Cloud
@@ -43,7 +43,8 @@ pub(super) fn outcome_of(cloud: &Cloud, counts: &Counts) -> Outcome {
 /// Everything that one frame gives. [`crate::pipeline::Pipeline::finish`] makes it; the caller owns it.
 #[derive(Debug)]
 pub struct Reconstruction {
-    /// The directional cloud: points and normals in the world frame, m. Empty where the frame is refused.
+    /// The directional cloud: points and normals in the world frame, m. Empty where the frame is refused, and where
+    /// points are only counted ([`crate::pipeline::Pipeline::counting`]).
     pub cloud: Cloud,
     /// Absolute phase and light of each known pixel in whole steps: the calibration turns it into the same cloud.
     pub phase: PhaseMap,

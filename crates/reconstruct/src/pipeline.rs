@@ -48,6 +48,7 @@ pub struct Pipeline {
     method: Method,
     keep_maps: bool,
     uncertainty: bool,
+    counting: bool,
     workspace: Arc<Workspace>,
 }
 
@@ -72,7 +73,8 @@ impl Pipeline {
         let pair = triangulator.pair();
         let (bias, table) = (Bias::new(&pair.pattern), Arc::new(RayTable::new(pair)));
         let (gains, workspace) = (Gains::new(), Arc::default());
-        Self { triangulator, table, gains, bias, method, keep_maps, uncertainty: false, workspace }
+        let (uncertainty, counting) = (false, false);
+        Self { triangulator, table, gains, bias, method, keep_maps, uncertainty, counting, workspace }
     }
 
     /// Uses this memory instead of memory of its own.
@@ -85,6 +87,13 @@ impl Pipeline {
     #[must_use]
     pub fn with_uncertainty(self, uncertainty: bool) -> Self {
         Self { uncertainty, ..self }
+    }
+
+    /// Points are only counted, where `counting`: the phase map gives the same cloud at any time. The paper's method
+    /// makes the cloud all the same.
+    #[must_use]
+    pub fn counting(self, counting: bool) -> Self {
+        Self { counting, ..self }
     }
 
     /// The geometry of the camera and its projector, solved exactly.
@@ -121,7 +130,7 @@ impl Pipeline {
         let mut prepared = self.prepare(image)?;
         let view = View { id: "", triangulator: &self.triangulator, head: 0, prepared: &mut prepared };
         match fringe_order::solve(&mut [view], fringe_order::MARGIN, MostDifference::of_rows(1)) {
-            Ok(()) => Ok(prepared),
+            Ok(_) => Ok(prepared),
             Err(reason) => Err(refuse(prepared, reason)),
         }
     }
@@ -153,23 +162,23 @@ impl Pipeline {
             self.workspace.buffers.give(buffers);
             return Err(refused(clock, counts, NO_OBJECT.to_owned()));
         };
-        let (runs, lit, part) = clock.time("cut", || {
-            let (runs, lit) = (roi.cut_runs(&buffers.object), roi.cut_runs(&buffers.mask.lit));
+        let (runs, good, part) = clock.time("cut", || {
+            let (runs, good) = (roi.cut_runs(&buffers.mask.lit), roi.cut_runs(&buffers.object));
             let mut part = self.workspace.planes.bytes.take(roi.width, roi.height);
             roi.cut(image, &mut part);
-            (runs, lit, part)
+            (runs, good, part)
         });
         self.workspace.buffers.give(buffers);
         counts.object = runs.area();
-        self.phases(part, (runs, &lit), roi, clock, counts)
+        self.phases(part, (runs, &good), roi, clock, counts)
     }
 
-    /// The phases of the part of a frame that holds the object, whose runs these are: without and with what is
+    /// The phases of the part of a frame that holds the object, whose runs these are: all of them, and without what is
     /// over-exposed.
     fn phases(
         &self,
         image: Plane<u8>,
-        (runs, lit): (Runs, &Runs),
+        (runs, good): (Runs, &Runs),
         roi: Roi,
         mut clock: Clock,
         mut counts: Counts,
@@ -183,8 +192,8 @@ impl Pipeline {
             energy: self.keep_maps,
             define_outside_runs: self.keep_maps || self.uncertainty,
         };
-        let front = wrapped_phase::run(part, (runs, lit), pair, &self.gains, keep, memory, &mut clock);
-        let Front { runs, period, windows, wrapped, zone, cores, energy, known } = front;
+        let front = wrapped_phase::run(part, (&runs, good), pair, &self.gains, keep, memory, &mut clock);
+        let Front { period, windows, wrapped, zone, cores, energy, known } = front;
         counts.phase = known;
         counts.refused = known;
         let mut marker = self.workspace.planes.bytes.take(roi.width, roi.height);
@@ -219,7 +228,7 @@ impl Pipeline {
             planes = names.into_iter().zip(maps).collect();
         }
         let mut absolute = wrapped;
-        let orders = clock.time("order", || Orders::cut(&mut absolute, &period, lit, pair));
+        let orders = clock.time("order", || Orders::cut(&mut absolute, &period, &runs, pair));
         self.workspace.buffers.give(buffers);
         let (table, regions) = (Arc::clone(&self.table), Regions::default());
         Ok(UnwrappedFrame {
@@ -269,12 +278,24 @@ impl Pipeline {
             clock.time("edges", || albedo_edges::refine(&mut absolute, maps, expected.as_mut()));
         let sigma_codes = expected.map(|expected| {
             let rows = pair.marker_period_px;
-            clock.time("uncertainty", || uncertainty::sigma_codes(&absolute, maps, &expected, rows))
+            let differs_rad = counts.differs_rad;
+            clock.time("uncertainty", || {
+                uncertainty::sigma_codes(&absolute, maps, &expected, rows, differs_rad)
+            })
         });
         let known = points::KnownPixels { absolute: &absolute, runs: &runs, light: &windows.light, roi };
         let size = self.frame().map(|px| px as u16);
         let phase = clock.time("quantize", || points::phase_map(&known, sigma_codes.as_ref(), size));
-        let cloud = clock.time("points", || points::make(&self.table, &phase));
+        let cloud = clock.time("points", || match self.counting {
+            true => {
+                counts.points = points::count(&self.table, &phase);
+                Cloud::default()
+            }
+            false => points::make(&self.table, &phase),
+        });
+        if !self.counting {
+            counts.points = cloud.len();
+        }
         let memory = &self.workspace.planes;
         [windows.strength, windows.light].into_iter().for_each(|plane| memory.words.give(plane));
         [windows.misfit, period].into_iter().for_each(|plane| memory.floats.give(plane));
@@ -286,7 +307,7 @@ impl Pipeline {
             memory.floats.give(absolute);
             None
         };
-        let outcome = outcome_of(&cloud, &counts);
+        let outcome = outcome_of(&counts);
         Reconstruction { cloud, phase, outcome, counts, regions, stages: clock.0, maps }
     }
 }

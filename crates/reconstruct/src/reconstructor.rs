@@ -4,14 +4,13 @@
 use crate::base::ids::CameraId;
 use crate::base::image::Mono8;
 use crate::data::{Calibration, Cloud};
-use crate::frame_set::{self, Stage};
-use crate::fringe_order::{self, MostDifference};
+use crate::frame_set;
+use crate::fringe_order::MostDifference;
 use crate::merge::{Rule, View, Viewpoint, left_out, merged};
 use crate::outcome::Reconstruction;
 use crate::pipeline::{Method, Pipeline, Workspace};
 use crate::triangulate::camera_projector::CameraProjector;
 use crate::triangulate::triangulator::Triangulator;
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Reconstructs the photographs that the cameras of one calibration take at one instant.
@@ -94,23 +93,12 @@ impl Reconstructor {
         &self,
         photograph: impl Fn(&CameraId) -> Option<Mono8<'a>> + Sync,
     ) -> Vec<Option<Reconstruction>> {
-        let prepare = |camera: &Camera| match photograph(&camera.id) {
-            Some(image) => Stage::from(camera.pipeline.prepare(image)),
-            None => Stage::Missing("gap", String::new()),
-        };
-        let stages: Vec<Stage> = self.cameras.par_iter().with_max_len(1).map(prepare).collect();
         let seen = |camera| {
             let Camera { id, head, pipeline, .. }: &Camera = camera;
             frame_set::Camera { id: id.as_str(), head: *head, pipeline }
         };
         let seen: Vec<_> = self.cameras.iter().map(seen).collect();
-        let stages = frame_set::settle(&seen, stages, fringe_order::MARGIN, self.most);
-        let finish = |(camera, stage): (&Camera, Stage)| match stage {
-            Stage::Made(made) => Some(*made),
-            Stage::Unwrapped(prepared) => Some(camera.pipeline.finish(*prepared)),
-            Stage::Missing(..) => None,
-        };
-        self.cameras.par_iter().with_max_len(1).zip(stages).map(finish).collect()
+        frame_set::reconstruct(&seen, |number| photograph(&self.cameras[number].id), self.most)
     }
 
     /// One cloud of all cameras, from the results of [`Self::reconstruct`]. Each point states its camera by its place

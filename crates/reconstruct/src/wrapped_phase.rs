@@ -14,6 +14,7 @@ use super::kernels::subpixel::{self, LANES, Lanes, Light};
 use super::marker;
 use super::marker::bias::{self, Ring};
 use super::phase::demodulate::{self, Gains};
+use super::phase::over_exposed::{self, GoodPixels};
 use super::phase::window_quality::{self, Windows};
 use super::phase::{period, shading};
 use super::triangulate::camera_projector::CameraProjector;
@@ -22,8 +23,6 @@ use crate::base::image::{Mono8, Plane};
 /// The results of the front end; all planes cover the region of interest.
 #[derive(Debug)]
 pub struct Front {
-    /// Runs of the object: nothing is known outside of them.
-    pub runs: Runs,
     /// Fringe period Pm, px; 0 where it is unknown.
     pub period: Plane<f32>,
     /// Amplitude, light and misfit of the window of each pixel.
@@ -61,6 +60,7 @@ pub struct Buffers {
     /// Light of a row's pixels, and of their windows, with room to either side.
     light: Light,
     mean: Vec<f32>,
+    good_pixels: GoodPixels,
     /// Pixels with a phase so far.
     known: usize,
 }
@@ -78,11 +78,11 @@ pub(super) struct Keep {
     pub define_outside_runs: bool,
 }
 
-/// Runs the front end on the part of a frame that holds the object, whose runs these are: without and with what is
-/// over-exposed.
+/// Runs the front end on the part of a frame that holds the object, whose runs these are: all of them, and without what
+/// is over-exposed.
 pub(super) fn run(
     image: Mono8<'_>,
-    (runs, lit): (Runs, &Runs),
+    (runs, good): (&Runs, &Runs),
     pair: &CameraProjector,
     gains: &Gains,
     keep: Keep,
@@ -93,12 +93,12 @@ pub(super) fn run(
     let mut period = planes.floats.take(w, h);
     clock.time("period", || {
         let Buffers { surroundings, period: rows, .. } = &mut *buffers;
-        surroundings.find(lit, w, keep.define_outside_runs);
-        period::measure(image, (&runs, surroundings), pair.period_px, rows, &mut period);
+        surroundings.find(runs, w, keep.define_outside_runs);
+        period::measure(image, (runs, surroundings), pair.period_px, rows, &mut period);
     });
     let mut energy = keep.energy.then(Plane::default);
     let (ridges, zone, zone_runs) = clock.time("marker", || {
-        let ridges = marker::ridges(image, &runs, &period, pair, &mut buffers.marker, energy.as_mut());
+        let ridges = marker::ridges(image, good, &period, pair, &mut buffers.marker, energy.as_mut());
         let mut zone = planes.bytes.take(w, h);
         bias::zone(&ridges, &period, &mut zone);
         let zone_runs = Runs::of(&zone);
@@ -114,7 +114,7 @@ pub(super) fn run(
     let mut wrapped = planes.floats.take(w, h);
     clock.time("phase", || {
         let (zone, zone_runs) = (&zone, &zone_runs);
-        let input = Input { image, runs: &runs, period: &period, zone, zone_runs, pair, gains };
+        let input = Input { image, runs, good, period: &period, zone, zone_runs, pair, gains };
         simd::dispatch(
             #[inline(always)]
             || input.phases(buffers, &mut windows, &mut wrapped),
@@ -122,13 +122,15 @@ pub(super) fn run(
     });
     let cores = clock.time("anchors", || marker::detect(&ridges, &period, &wrapped, pair));
     let known = buffers.known;
-    Front { runs, period, windows, wrapped, zone, cores, energy, known }
+    Front { period, windows, wrapped, zone, cores, energy, known }
 }
 
 /// What the second pass reads.
 struct Input<'a> {
     image: Mono8<'a>,
     runs: &'a Runs,
+    /// The runs without what is over-exposed.
+    good: &'a Runs,
     period: &'a Plane<f32>,
     zone: &'a Plane<u8>,
     zone_runs: &'a Runs,
@@ -188,7 +190,7 @@ impl Input<'_> {
     /// Demodulates row `v` and takes off the bias of shading.
     #[inline(always)]
     fn demodulate(&self, v: usize, buffers: &mut Buffers, windows: &mut Windows) {
-        let Buffers { raw: [c, s], misfit, shaded, light, mean, .. } = buffers;
+        let Buffers { raw: [c, s], misfit, shaded, light, mean, good_pixels, .. } = buffers;
         let (length, misfits) = (c.len(), misfit.len());
         // Slices of one length: the compiler then checks once whether a block fits.
         let room = ..self.room();
@@ -202,9 +204,17 @@ impl Input<'_> {
         let (runs, period) = (self.runs.row(v), self.period.row(v));
         shading::clear_light(mean, self.image.width(), self.runs.span(v));
         let steps = self.rest(&mut windows.light, v);
+        let (row, good_runs) = (self.image.row(v), self.good.row(v));
+        let is_over_exposed = runs != good_runs;
+        if is_over_exposed {
+            for run in runs {
+                [&mut *shaded_c, shaded_s, misfit].into_iter().for_each(|row| row[run.columns()].fill(0.0));
+                steps[run.columns()].fill(0);
+            }
+        }
         demodulate::demodulate_row(
-            self.image.row(v),
-            runs,
+            row,
+            good_runs,
             period,
             self.gains,
             self.pair.sign,
@@ -224,6 +234,24 @@ impl Input<'_> {
                 );
             },
         );
+        if is_over_exposed {
+            over_exposed::fit_row(
+                row,
+                (runs, good_runs),
+                period,
+                self.pair.sign,
+                good_pixels,
+                #[inline(always)]
+                |u, [c, s, mean, rest]| {
+                    if shaded_c[u] == 0.0 && shaded_s[u] == 0.0 {
+                        // The slope of the light is a part of the fit. `mean` stays unknown, so that the slope is not taken
+                        // off again.
+                        (shaded_c[u], shaded_s[u], misfit[u]) = (c, s, rest);
+                        steps[u] = window_quality::light_steps(mean);
+                    }
+                },
+            );
+        }
         self.zone_runs.row(v).iter().for_each(|run| shading::skip_light(mean, run.columns()));
         shading::correct_row([shaded_c, shaded_s], mean, period, runs, self.pair.sign, [c, s]);
     }

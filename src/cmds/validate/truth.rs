@@ -140,6 +140,7 @@ fn rendered(args: &Args, directory: &Path, calibration: Option<&Path>) -> Result
     for (&(trigger, number), path) in &files {
         let (head, camera) = cameras[number];
         let truth = Truth::load(path, &camera.device, rows).map_err(|e| Failure::new(Exit::Corrupt, e))?;
+        let truth = truth.within([calibration.volume_min_m, calibration.volume_max_m], &camera.device);
         let reference =
             Reference { camera: &camera.device, projector: &head.projector, pattern: &calibration.pattern };
         let place = set.directional.get(&(trigger, camera.id.to_string()));

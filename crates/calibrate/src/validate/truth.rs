@@ -91,6 +91,18 @@ impl Truth {
         Ok(Self { origin: [u0, first], points, lit: is_lit, focal_px: camera.lens.fx })
     }
 
+    /// Counts no pixel as lit that shows a place outside of a volume (world, m): there are no points, by intention.
+    #[must_use]
+    pub fn within(mut self, [min, max]: [[f64; 3]; 2], camera: &Device) -> Self {
+        let world = camera.world_from_device.isometry();
+        for (lit, place) in self.lit.as_mut_slice().iter_mut().zip(self.points.as_slice()) {
+            let place = world.transform_point(&Point3::from(*place));
+            let inside = (0..3).all(|axis| (min[axis]..=max[axis]).contains(&place[axis]));
+            *lit *= u8::from(inside);
+        }
+        self
+    }
+
     /// Place of a frame pixel in the crop.
     pub(super) fn place(&self, [u, v]: [u16; 2]) -> Option<(usize, usize)> {
         let u = usize::from(u).checked_sub(self.origin[0])?;
@@ -396,7 +408,8 @@ pub struct Score {
 mod tests {
     use super::{NORMAL_PX, Truth, closest};
     use crate::base::image::Plane;
-    use nalgebra::Vector3;
+    use crate::geometry::{Device, Lens, Pose};
+    use nalgebra::{Isometry3, Vector3};
     use proptest::prelude::{ProptestConfig, prop_assert, proptest};
 
     #[test]
@@ -421,6 +434,18 @@ mod tests {
         for place in [(NORMAL_PX - 1, 10), (10, side - NORMAL_PX), (14, 10), (15, 10), (17, 10)] {
             assert_eq!(truth.normal(place), None, "{place:?}");
         }
+    }
+
+    #[test]
+    fn what_lies_outside_of_the_volume_counts_as_not_lit() {
+        let pose = Isometry3::translation(0.0, 0.0, -2.0);
+        let lens = Lens { fx: 100.0, fy: 100.0, cx: 1.0, cy: 0.0, distortion: [0.0; 5] };
+        let camera = Device { width: 3, height: 1, lens, world_from_device: Pose::new(pose) };
+        let places = vec![[0.2, 0.0, 2.0], [0.2, 0.0, 3.5], [f64::NAN; 3]];
+        let points = Plane::from_vec(3, 1, places).expect("three");
+        let truth = Truth { origin: [0, 0], points, lit: Plane::filled(3, 1, 1), focal_px: 100.0 };
+        let lit = truth.within([[-1.0; 3], [1.0; 3]], &camera).lit;
+        assert_eq!(lit.as_slice(), [1, 0, 0]);
     }
 
     proptest! {

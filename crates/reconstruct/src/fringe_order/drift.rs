@@ -5,7 +5,7 @@
 //! change slowly over the image, as those of a turned device do: a plane is laid through them, and taken off in the
 //! second pass. How far they scatter about it is how near the two can be expected to agree.
 
-use super::evidence::{NO_ORDER, OrderTable};
+use super::evidence::{NO_ORDER, OrderTable, SAMPLE, is_sample};
 use super::inference::Field;
 use super::observation::{Observations, Observed, PLACES};
 use super::projection::{LANES, Ray};
@@ -23,6 +23,9 @@ const UNIT_PX: f32 = 1000.0;
 /// Places that a plane needs at least: with fewer, the differences of two cameras stay unknown.
 const LEAST_PLACES: usize = 30;
 
+/// Places that a camera is compared with others at, over all pairs, before anything is concluded from its differences.
+const POOL_PLACES: f32 = 120.0;
+
 /// How many places the expectation that differences are small counts as, in the fit of the plane.
 const PRIOR_PLACES: f64 = 10.0;
 
@@ -35,9 +38,12 @@ const LEAST_SCALE_RAD: f64 = 0.02;
 /// Rounds of the fit, each with weights by the differences that the last one left.
 const ROUNDS: usize = 6;
 
-/// Where two cameras differ by more, the calibration is not believed, rad. Chosen on calibrations whose devices have
-/// turned (lots 1 to 4 of `make light`, *drift*).
-const MOST_RAD: f32 = 0.2;
+/// Where a camera differs from others by more in the mean, the calibration is not believed, rad: half of what the least
+/// of the calibrations made whose devices have turned (lots 1 to 4 of `make light`, *drift*), three times a good one's.
+const MOST_RAD: f32 = 0.1;
+
+/// The same for the scale of single places about that, rad.
+const MOST_SCATTER_RAD: f32 = 0.2;
 
 /// By how much two cameras may differ where both see one surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -55,7 +61,7 @@ impl MostDifference {
     /// The bounds for frames of which each row stands for `rows` rows of the camera. Patches are as many times higher,
     /// and single places differ from their planes by as much more; devices that have turned make the same difference.
     pub fn of_rows(rows: usize) -> Self {
-        Self { everywhere_rad: MOST_RAD, scatter_rad: MOST_RAD * rows as f32 }
+        Self { everywhere_rad: MOST_RAD, scatter_rad: MOST_SCATTER_RAD * rows as f32 }
     }
 }
 
@@ -68,6 +74,8 @@ pub struct Differences {
     pub scale: [f32; LANES],
     /// What they are in the middle of the places where both see one surface, rad.
     pub middle: [f32; LANES],
+    /// How many places these are; 0 where there are too few.
+    pub places: [u32; LANES],
 }
 
 impl Differences {
@@ -77,71 +85,120 @@ impl Differences {
     }
 }
 
-/// A camera that contradicts the others.
-#[derive(Debug, Clone, Copy)]
-pub struct Turned {
-    camera: usize,
-    /// By how much it differs from half of the others at least, rad.
-    by_rad: f32,
-    /// No two differ by too much everywhere: it is single places that do.
-    scattered: bool,
+/// What one camera's differences come to, over all pairs of it and a camera of the same head, or of another.
+#[derive(Debug, Clone, Copy, Default)]
+struct Pool {
+    places: f32,
+    /// Sums over the places of all pairs.
+    middle: f32,
+    scale: f32,
 }
 
-impl Turned {
-    /// The camera that differs most from the others, where any two differ by too much: by what they differ everywhere,
-    /// or by how much single places scatter about that.
-    pub fn most(differences: &[Vec<Differences>], most: MostDifference) -> Option<Self> {
-        let mut of_each = vec![Vec::new(); differences.len()];
-        let (mut scattered, mut too_much) = (true, false);
-        for (view, blocks) in differences.iter().enumerate() {
-            let all = blocks.iter().flat_map(|block| block.middle.into_iter().zip(block.scale)).enumerate();
-            for (camera, (middle, scale)) in all.filter(|x| x.1.1 > 0.0) {
-                let by = middle.abs().max(scale);
-                let turned = middle.abs() > most.everywhere_rad;
-                scattered &= !turned;
-                too_much |= turned || scale > most.scatter_rad;
-                of_each[view].push(by);
-                of_each[camera].push(by);
-            }
-        }
-        let median = |(camera, by): (usize, &mut Vec<f32>)| {
-            by.sort_unstable_by(f32::total_cmp);
-            by.get(by.len() / 2).map(|&by_rad| Self { camera, by_rad, scattered })
-        };
-        let each = of_each.iter_mut().enumerate().filter_map(median);
-        let worst = each.max_by(|a, b| a.by_rad.total_cmp(&b.by_rad).then(b.camera.cmp(&a.camera)));
-        worst.filter(|_| too_much)
+impl Pool {
+    fn add(&mut self, places: u32, middle: f32, scale: f32) {
+        let places = places as f32;
+        self.places += places;
+        self.middle += places * middle.abs();
+        self.scale += places * scale;
     }
 
-    /// The reason of the refusal, for the user.
-    pub fn message(&self, views: &[View<'_>], most: MostDifference) -> String {
-        let View { id, triangulator, .. } = &views[self.camera];
+    /// Mean difference in the middle of what both see, and mean scale about it, rad; 0 where too few places tell.
+    fn means(&self) -> [f32; 2] {
+        let known = self.places >= POOL_PLACES;
+        [self.middle, self.scale].map(|sum| if known { sum / self.places } else { 0.0 })
+    }
+}
+
+/// How far the cameras of one instant agree. Every pair counts by its places: few of them may all be wrong.
+#[derive(Debug)]
+pub struct Agreement {
+    /// For each camera, with the others of its head, and with those of other heads.
+    pools: Vec<[Pool; 2]>,
+}
+
+impl Agreement {
+    /// From the differences of each camera from each view, block by block.
+    pub fn of(differences: &[Vec<Differences>], scenes: &[Scene<'_>]) -> Self {
+        Self::of_heads(differences, |a, b| scenes[a].head == scenes[b].head)
+    }
+
+    fn of_heads(differences: &[Vec<Differences>], one_head: impl Fn(usize, usize) -> bool) -> Self {
+        let mut pools = vec![[Pool::default(); 2]; differences.len()];
+        for (view, blocks) in differences.iter().enumerate() {
+            let lanes =
+                blocks.iter().flat_map(|x| (0..LANES).map(move |i| (x.places[i], x.middle[i], x.scale[i])));
+            for (camera, (places, middle, scale)) in lanes.enumerate().filter(|x| x.1.0 > 0) {
+                for i in [view, camera] {
+                    pools[i][usize::from(!one_head(view, camera))].add(places, middle, scale);
+                }
+            }
+        }
+        Self { pools }
+    }
+
+    /// By how much each camera differs from the others, rad: from those of its head or of other heads, whichever is
+    /// more; 0 where too few places tell.
+    pub fn differ_rad(&self) -> impl Iterator<Item = f32> {
+        self.pools.iter().map(|pools| pools.iter().fold(0.0, |most, pool| pool.means()[0].max(most)))
+    }
+
+    /// Whether enough places were compared to know how far each camera differs from the others.
+    pub fn compared(&self) -> impl Iterator<Item = bool> {
+        self.pools.iter().map(|pools| pools.iter().any(|pool| pool.places >= POOL_PLACES))
+    }
+
+    /// The camera that differs most, by what, and whether single places do so alone, if any camera differs by too much.
+    fn worst(&self, most: MostDifference) -> Option<(usize, f32, bool)> {
+        let means = || self.pools.iter().flatten().map(Pool::means);
+        let turned = means().any(|[middle, _]| middle > most.everywhere_rad);
+        if !turned && !means().any(|[_, scale]| scale > most.scatter_rad) {
+            return None;
+        }
+        // A camera that has turned differs from all others; each of these only from that one.
+        let of = |[same, other]: &[Pool; 2]| {
+            let both = Pool {
+                places: same.places + other.places,
+                middle: same.middle + other.middle,
+                scale: same.scale + other.scale,
+            };
+            both.means()[usize::from(!turned)]
+        };
+        let each = self.pools.iter().map(of).enumerate();
+        let worst = each.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
+        worst.map(|(camera, by_rad)| (camera, by_rad, !turned))
+    }
+
+    /// Whether the calibration can be believed; else the reason of the refusal, for the user.
+    pub fn verdict(&self, views: &[View<'_>], most: MostDifference) -> Result<(), String> {
+        let Some((camera, by_rad, scattered)) = self.worst(most) else { return Ok(()) };
+        let View { id, triangulator, .. } = &views[camera];
         let pair = triangulator.pair();
-        let most_rad = if self.scattered { most.scatter_rad } else { most.everywhere_rad };
+        let most_rad = if scattered { most.scatter_rad } else { most.everywhere_rad };
         let expected =
             format!("expected cameras that agree within {most_rad} rad where they see one surface");
-        if self.scattered {
-            return format!(
+        if scattered {
+            return Err(format!(
                 "{expected}, found single places where they do not, most of all with {id}: a pattern on the surface \
                  that looks like fringes, other light, or devices that have turned; if plain skin gives the same, \
                  calibrate again"
-            );
+            ));
         }
-        let px = f64::from(self.by_rad) / std::f64::consts::TAU * f64::from(pair.period_px);
-        format!(
-            "{expected}, found more: {id} differs most, by {:.2} rad, as if it or its projector had turned by {:.3} \
-             degree; run `fourdbody calibration check` to find the devices that have turned, or calibrate again",
-            self.by_rad,
+        let px = f64::from(by_rad) / std::f64::consts::TAU * f64::from(pair.period_px);
+        Err(format!(
+            "{expected}, found more: {id} differs most, by {by_rad:.2} rad, as if it or its projector had turned by \
+             {:.3} degree; run `fourdbody calibration check` to find the devices that have turned, or calibrate again",
             (px / pair.camera.lens.fx).to_degrees()
-        )
+        ))
     }
 }
 
 /// The differences of all cameras from a view, block by block.
 pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &OrderTable) -> Vec<Differences> {
     let own = field.scene;
-    let certain: Vec<usize> = (0..field.graph.label.len())
-        .filter(|&i| known.turns[field.first + i] != NO_ORDER && super::evidence::is_sample(&own.patches, i))
+    let certain: Vec<usize> = (0..own.patches.all.len())
+        .filter(|&i| {
+            known.turns[field.first + i] != NO_ORDER && is_sample(&own.patches, i, SAMPLE) && own.is_bright[i]
+        })
         .collect();
     let mut looks = Observations::new(scenes);
     let mut out = Vec::new();
@@ -150,14 +207,7 @@ pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &OrderTable) -> Vec<Di
         for places in certain.chunks(PLACES) {
             let mut rays = [Ray { direction: [0.0; 3], inverse_depth: 0.0 }; PLACES];
             let mut sights = [Observed::NONE; PLACES];
-            for (ray, &i) in rays.iter_mut().zip(places) {
-                let patch = &own.patches.all[i];
-                let (u, v) = own.pixel(patch);
-                let line = own.projection.table.sightline(u, v);
-                let [inverse_depth] =
-                    own.projection.table.inverse_depths(&line, patch.phase / TAU + field.turns(i) as f32);
-                *ray = Ray { direction: line.direction, inverse_depth };
-            }
+            rays.iter_mut().zip(places).for_each(|(ray, &i)| *ray = field.place(i));
             looks.at(field.number, block, &rays[..places.len()], &mut sights);
             for (sight, &i) in sights.iter().zip(places) {
                 let terms = Differences::terms_of(own.pixel(&own.patches.all[i]));
@@ -178,6 +228,7 @@ pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &OrderTable) -> Vec<Di
                 found.middle[c] += term * seen.iter().map(|x| x.0[k]).sum::<f32>() / seen.len() as f32;
             }
             found.scale[c] = scale;
+            found.places[c] = seen.len() as u32;
         }
         out.push(found);
     }
@@ -196,8 +247,8 @@ fn fit(seen: &[([f32; TERMS], f32)]) -> ([f32; TERMS], f32) {
             f64::from(*off) - Vector3::from(terms.map(f64::from)).dot(&plane)
         };
         let mut sizes: Vec<f64> = seen.iter().map(|x| rest(x).abs()).collect();
-        sizes.sort_unstable_by(f64::total_cmp);
-        scale = sizes[sizes.len() / 2].max(LEAST_SCALE_RAD);
+        let middle = sizes.len() / 2;
+        scale = sizes.select_nth_unstable_by(middle, f64::total_cmp).1.max(LEAST_SCALE_RAD);
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
         for x in seen {
             let terms = Vector3::from(x.0.map(f64::from));
@@ -213,7 +264,7 @@ fn fit(seen: &[([f32; TERMS], f32)]) -> ([f32; TERMS], f32) {
 
 #[cfg(test)]
 mod tests {
-    use super::{Differences, MostDifference, Turned, fit};
+    use super::{Agreement, Differences, MostDifference, fit};
 
     #[test]
     fn the_plane_is_that_of_most_places() {
@@ -235,20 +286,47 @@ mod tests {
         assert!(scale < 0.04, "{scale}");
     }
 
+    /// Two cameras of each of two heads, and what they differ by in pairs: (camera, camera, places, middle).
+    fn agreement(pairs: &[(usize, usize, u32, f32)]) -> Agreement {
+        let mut all = vec![vec![Differences::default()]; 4];
+        for &(a, b, places, middle) in pairs {
+            for (a, b, middle) in [(a, b, middle), (b, a, -middle)] {
+                (all[a][0].places[b], all[a][0].middle[b], all[a][0].scale[b]) = (places, middle, 0.02);
+            }
+        }
+        Agreement::of_heads(&all, |a, b| a / 2 == b / 2)
+    }
+
     #[test]
     fn the_camera_that_has_turned_is_named() {
-        let differences = |by: [f32; 3]| {
-            let mut found = Differences::default();
-            found.middle[..3].copy_from_slice(&by);
-            found.scale[..3].fill(0.02);
-            found
-        };
         let of = |x: f32, rows: usize| {
-            let all = [[0.0, 0.03, x], [0.02, 0.0, x], [-x, x, 0.0]];
-            Turned::most(&all.map(|by| vec![differences(by)]), MostDifference::of_rows(rows))
+            let pairs = [
+                (0, 1, 300, 0.02),
+                (2, 3, 300, x),
+                (0, 2, 100, 0.01),
+                (1, 2, 80, 0.02),
+                (0, 3, 90, x),
+                (1, 3, 90, x),
+            ];
+            agreement(&pairs).worst(MostDifference::of_rows(rows)).map(|worst| worst.0)
         };
-        assert_eq!(of(0.15, 1).map(|x| x.camera), None);
-        assert_eq!(of(0.25, 1).map(|x| x.camera), Some(2));
-        assert_eq!(of(0.25, 4).map(|x| x.camera), Some(2), "fewer rows are no reason to differ everywhere");
+        assert_eq!(of(0.08, 1), None);
+        assert_eq!(of(0.25, 1), Some(3));
+        assert_eq!(of(0.25, 4), Some(3), "fewer rows are no reason to differ everywhere");
+    }
+
+    #[test]
+    fn few_places_of_one_pair_refuse_no_body() {
+        let pairs = [(0, 1, 300, 0.02), (2, 3, 300, 0.01), (0, 2, 100, 0.01), (1, 3, 30, 0.5)];
+        assert_eq!(agreement(&pairs).worst(MostDifference::of_rows(1)), None);
+        let differ: Vec<f32> = agreement(&pairs).differ_rad().collect();
+        assert!(differ[0] < 0.03 && differ[2] < 0.03, "{differ:?}");
+    }
+
+    #[test]
+    fn a_projector_that_has_turned_is_seen_by_other_heads() {
+        // Its two cameras agree with each other wherever they look.
+        let pairs = [(0, 1, 900, 0.01), (2, 3, 900, 0.01), (0, 2, 70, 0.3), (1, 3, 70, 0.3)];
+        assert!(agreement(&pairs).worst(MostDifference::of_rows(1)).is_some());
     }
 }

@@ -7,10 +7,11 @@
 //! costs little.
 
 use super::drift::{Differences, TERMS};
-use super::inference::{Costs, Field, LABELS, NEVER, STEP};
+use super::inference::{Field, NEVER, STEP, least};
 use super::observation::{Observations, Observed, PLACES};
-use super::patches::Patches;
+use super::patches::{CELL_PX, Patches};
 use super::projection::{LANES, Ray};
+use super::same_head::Mate;
 use super::scene::Scene;
 use crate::kernels::fast_round::nearest;
 use crate::kernels::simd;
@@ -55,10 +56,10 @@ pub const WHOLE_PX: u32 = 60;
 const LEAST_PX: u32 = 24;
 
 /// In the first pass every such cell along rows and columns is compared with the other cameras.
-const SAMPLE: u32 = 2;
+pub const SAMPLE: u32 = 2;
 
 /// In the second pass the labels are compared again whose costs exceed the least by no more than this.
-const KEEP: f32 = 8.0;
+const KEEP: f32 = 5.0;
 
 /// In the second pass patches that fill their cell are not compared again from this margin on.
 const SURE: f32 = 10.0;
@@ -82,18 +83,25 @@ pub const BEYOND: usize = 2;
 type Lanes = [f32; LANES];
 
 /// The weights of a block of cameras for one view, in lanes.
-struct CameraWeights {
-    width: Lanes,
-    share: Lanes,
-    past: Lanes,
-    before: Lanes,
-    behind: Lanes,
+pub(super) struct CameraWeights {
+    pub width: Lanes,
+    pub share: Lanes,
+    pub past: Lanes,
+    pub before: Lanes,
+    pub behind: Lanes,
     /// Sign of the phase's change with the distance from each camera.
-    sign: Lanes,
+    pub sign: Lanes,
 }
 
 impl CameraWeights {
-    fn new(scenes: &[Scene<'_>], view: usize, first: usize, differences: &Differences, wide: f32) -> Self {
+    /// The weights of the cameras from number `first` on for a view; `wide`: a factor on the widths.
+    pub fn new(
+        scenes: &[Scene<'_>],
+        view: usize,
+        first: usize,
+        differences: &Differences,
+        wide: f32,
+    ) -> Self {
         let none = [0.0; LANES];
         let mut weights =
             Self { width: [1.0; LANES], share: none, past: none, before: none, behind: none, sign: none };
@@ -110,39 +118,58 @@ impl CameraWeights {
         weights
     }
 
-    /// What a patch costs at a place, by what the cameras have there. `turns` of the patches that they see.
+    /// What a patch costs at a place, by what the cameras have there. `turns` of the patches that they see, unless this
+    /// is the first pass (`FIRST`), where neither these nor differences (`bias`) are known.
     #[inline(always)]
-    fn cost(&self, seen: &Observed, turns: &[i32; LANES], bias: &Lanes, nothing: u32) -> f32 {
-        let mut cost = [0f32; LANES];
+    fn cost<const FIRST: bool>(
+        &self,
+        seen: &Observed,
+        turns: &[i32; LANES],
+        bias: &Lanes,
+        nothing: u32,
+    ) -> f32 {
+        // One logarithm for all cameras that agree.
+        let (mut odds, mut cost) = ([1f32; LANES], [0f32; LANES]);
         for i in 0..LANES {
-            let known = turns[i] != NO_ORDER;
-            let off =
-                (seen.ahead[i] - bias[i] + if known { TAU * turns[i] as f32 } else { 0.0 }) * self.sign[i];
-            let wrapped = off - TAU * nearest(off * (1.0 / TAU));
-            let likelier = 2.0 * self.width[i] / (self.width[i] * self.width[i] + wrapped * wrapped);
-            let agrees = -ln(1.0 + self.share[i] * likelier);
-            let against = if off > 0.0 { self.before[i] } else { self.behind[i] };
-            let there = if !known | (off.abs() < PI) { agrees } else { against };
-            let is_past = seen.node[i] == nothing + 1;
-            cost[i] = if seen.node[i] < nothing {
-                there
-            } else if is_past {
-                self.past[i]
-            } else {
-                0.0
+            let known = !FIRST & (turns[i] != NO_ORDER);
+            let off = match FIRST {
+                true => seen.ahead[i],
+                false => {
+                    let by_turns = if known { TAU * turns[i] as f32 } else { 0.0 };
+                    (seen.ahead[i] - bias[i] + by_turns) * self.sign[i]
+                }
             };
+            let likelier = self::odds(self.share[i], self.width[i], wrapped(off));
+            let against = if off > 0.0 { self.before[i] } else { self.behind[i] };
+            let (is_seen, is_one) = (seen.node[i] < nothing, !known | (off.abs() < PI));
+            odds[i] = if is_seen & is_one { likelier } else { 1.0 };
+            let past = if seen.node[i] == nothing + 1 { self.past[i] } else { 0.0 };
+            let there = if is_one { 0.0 } else { against };
+            cost[i] = if is_seen { there } else { past };
         }
-        let mut sum = 0.0;
-        for cost in cost {
-            sum += cost;
-        }
-        sum
+        let [a, b, c, d, e, f, g, h] = odds;
+        let odds = ((a * b) * (c * d)) * ((e * f) * (g * h));
+        let [a, b, c, d, e, f, g, h] = cost;
+        ((a + b) + (c + d)) + ((e + f) + (g + h)) - ln(odds)
     }
+}
+
+/// A difference of phases without its whole turns, rad.
+#[inline(always)]
+pub(super) fn wrapped(off: f32) -> f32 {
+    off - TAU * nearest(off * (1.0 / TAU))
+}
+
+/// How much likelier a [wrapped] difference is where both cameras see one surface, in `share` of all cases and with
+/// differences of this width, than by chance: `1 + q 2 g / (g^2 + r^2)`.
+#[inline(always)]
+pub(super) fn odds(share: f32, width: f32, wrapped: f32) -> f32 {
+    1.0 + share * (2.0 * width / (width * width + wrapped * wrapped))
 }
 
 /// Natural logarithm of a positive number, to 0.01.
 #[inline(always)]
-fn ln(x: f32) -> f32 {
+pub(super) fn ln(x: f32) -> f32 {
     let bits = x.to_bits();
     let exponent = (bits >> 23) as i32 - 127;
     let mantissa = f32::from_bits(bits & 0x007f_ffff | 0x3f80_0000);
@@ -150,142 +177,196 @@ fn ln(x: f32) -> f32 {
     log2 * std::f32::consts::LN_2
 }
 
-/// Whether a patch fills its cell and is one of those that the first pass compares.
-pub fn is_sample(patches: &Patches, i: usize) -> bool {
+/// Whether a patch fills its cell, and this is one of every `each` cells along rows and columns.
+pub fn is_sample(patches: &Patches, i: usize, each: u32) -> bool {
     let (patch, columns) = (&patches.all[i], patches.columns as u32);
     patch.size >= WHOLE_PX
-        && (patch.cell % columns).is_multiple_of(SAMPLE)
-        && (patch.cell / columns).is_multiple_of(SAMPLE)
+        && (patch.cell % columns).is_multiple_of(each)
+        && (patch.cell / columns).is_multiple_of(each)
 }
 
-/// Sets the costs of all labels of a view's patches. The first pass compares some whole cells at all labels; the
-/// second, with what is known, every patch at the labels near its best.
+/// Sets the costs of all labels of a view's nodes. The first pass compares squares, and some whole cells beside them, at
+/// all labels; the second, with what is known, every node that is not sure yet, at the labels near its best.
 pub fn collect(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &OrderTable, first: bool) {
     let (own, view) = (field.scene, field.number);
-    let mut looks = Observations::new(scenes);
     let wide = if first { WIDER } else { 1.0 };
     let weights = known.differences[view].iter().enumerate();
     let weights: Vec<CameraWeights> =
         weights.map(|(block, x)| CameraWeights::new(scenes, view, block * LANES, x, wide)).collect();
     let patches = &own.patches;
-    // By patch.
-    let votes: Vec<(u32, i32, f32)> = field.votes().collect();
+    let mut votes: Vec<(u32, i32, f32)> = field.votes().collect();
+    votes.sort_by_key(|vote| vote.0);
+    let room = field.graph.labels.next_multiple_of(PLACES);
     let mut comparison = Comparison {
-        looks: &mut looks,
+        looks: Observations::new(scenes),
         own,
         view,
+        mate: Mate::new(scenes, view, &weights, known),
         weights: &weights,
         known,
         sights: [Observed::NONE; PLACES],
+        inverse: Vec::with_capacity(room),
+        wanted: Vec::with_capacity(room),
+        compared: Vec::with_capacity(room),
+        costs: Vec::with_capacity(room),
     };
-    for (i, patch) in patches.all.iter().enumerate() {
-        let whole = patch.size >= WHOLE_PX;
-        if !first && whole && field.graph.margin[i] >= SURE {
+    for node in 0..field.squares.all.len() {
+        let square = field.squares.all[node];
+        let i = square.patch as usize;
+        let patch = &patches.all[i];
+        if !first && patch.size >= WHOLE_PX && field.graph.margin[node] >= SURE {
             continue;
         }
+        let cells = (square.side * square.side) as f32;
+        let size = cells * patch.size as f32 / (CELL_PX * CELL_PX) as f32;
+        let weight = match first {
+            true if square.side > 1 => Some(cells),
+            true => is_sample(patches, i, SAMPLE).then_some((SAMPLE * SAMPLE) as f32),
+            false => Some(size).filter(|_| patch.size >= LEAST_PX),
+        };
         let count = field.count[i] as usize;
-        let mut costs = [f32::INFINITY; LABELS];
-        costs[..count].fill(0.0);
-        if first && is_sample(patches, i) {
-            let each = (SAMPLE * SAMPLE) as f32;
-            comparison.look(field, i, count, |_| true, EVIDENCE * each, &mut costs);
-        } else if !first && patch.size >= LEAST_PX {
-            let most = field.graph.marginal[i].iter().fold(NEVER, |a, &b| a.min(b)) + (KEEP / STEP) as i16;
-            for (cost, marginal) in costs[..count].iter_mut().zip(&field.graph.marginal[i]) {
-                if *marginal > most {
-                    *cost = KEEP;
+        comparison.begin(count);
+        if let Some(weight) = weight {
+            if !first {
+                comparison.keep(field.graph.marginal(node));
+            }
+            // What the first pass leaves open is compared everywhere.
+            let samples = field.squares.samples(node, patches, if first { SAMPLE as usize } else { 1 });
+            let each = EVIDENCE * weight / samples.len() as f32;
+            for j in samples {
+                let turns = field.squares.ahead[j] - field.base[j];
+                let place = (j, patches.all[j].phase / TAU + turns as f32, each);
+                match first {
+                    true => comparison.look::<true>(place, j == i),
+                    false => comparison.look::<false>(place, j == i),
                 }
             }
-            comparison.look(
-                field,
-                i,
-                count,
-                |l| field.graph.marginal[i][l] <= most,
-                EVIDENCE * patch.size as f32 / 64.0,
-                &mut costs,
-            );
         } else if !first {
             continue;
         }
-        let own_votes = &votes[votes.partition_point(|x| (x.0 as usize) < i)..];
-        for (_, l, counts) in own_votes.iter().take_while(|x| x.0 as usize == i) {
-            if let Some(cost) = usize::try_from(*l).ok().and_then(|l| costs[..count].get_mut(l)) {
+        let own_votes = &votes[votes.partition_point(|x| (x.0 as usize) < node)..];
+        for (_, l, counts) in own_votes.iter().take_while(|x| x.0 as usize == node) {
+            if let Some(cost) = usize::try_from(*l).ok().and_then(|l| comparison.costs[..count].get_mut(l)) {
                 *cost -= counts;
             }
         }
-        field.graph.unary[i] = in_steps(&costs);
+        in_steps(&comparison.costs[..count], field.graph.unary_mut(node));
     }
 }
 
-/// Costs in steps, of which the least is 0.
-fn in_steps(costs: &[f32; LABELS]) -> Costs {
-    let least = costs.iter().copied().fold(f32::MAX, f32::min);
-    costs.map(|cost| ((cost - least) * (1.0 / STEP)).min(f32::from(NEVER)) as i16)
+/// Writes costs in steps, of which the least is 0; labels beyond them are never had.
+fn in_steps(costs: &[f32], out: &mut [i16]) {
+    simd::dispatch(
+        #[inline(always)]
+        || {
+            let least = costs.iter().copied().fold(f32::MAX, f32::min);
+            let (out, beyond) = out.split_at_mut(costs.len());
+            for (out, cost) in out.iter_mut().zip(costs) {
+                // Not a number of more than 32767: no cast has to care for it.
+                *out = ((cost - least) * (1.0 / STEP)).min(f32::from(NEVER)) as i32 as i16;
+            }
+            beyond.fill(NEVER);
+        },
+    );
 }
 
-/// The cameras that a view's patches are compared with.
+/// The cameras that a view's nodes are compared with, and what has come out for the labels of one node.
 struct Comparison<'a> {
-    looks: &'a mut Observations<'a>,
+    looks: Observations<'a>,
     own: &'a Scene<'a>,
     view: usize,
+    /// The other camera of the head.
+    mate: Option<Mate<'a>>,
     weights: &'a [CameraWeights],
     known: &'a OrderTable,
     sights: [Observed; PLACES],
+    /// The inverse depth of each label, 1/m.
+    inverse: Vec<f32>,
+    /// Whether a label of the node is compared, and whether all cameras are compared at it for one of its patches.
+    wanted: Vec<bool>,
+    compared: Vec<bool>,
+    costs: Vec<f32>,
 }
 
 impl Comparison<'_> {
-    /// Adds the costs of those labels of patch `i` for which `is_wanted`, from the places on its line of sight.
-    fn look(
-        &mut self,
-        field: &Field<'_>,
-        i: usize,
-        count: usize,
-        is_wanted: impl Fn(usize) -> bool,
-        weight: f32,
-        costs: &mut [f32; LABELS],
-    ) {
-        let patch = &self.own.patches.all[i];
-        let (u, v) = self.own.pixel(patch);
+    /// Begins with a node of this many labels: all are compared, and cost nothing.
+    fn begin(&mut self, count: usize) {
+        self.wanted.clear();
+        self.wanted.resize(count, true);
+        self.costs.clear();
+        self.costs.resize(count, 0.0);
+    }
+
+    /// Only labels near the best are compared; all others cost as much more as that.
+    fn keep(&mut self, marginal: &[i16]) {
+        let most = least(marginal).saturating_add((KEEP / STEP) as i16);
+        for ((wanted, cost), marginal) in self.wanted.iter_mut().zip(&mut self.costs).zip(marginal) {
+            *wanted = *marginal <= most;
+            *cost = if *wanted { 0.0 } else { KEEP };
+        }
+    }
+
+    /// Adds the costs of the labels that are wanted, from the places on the line of sight of patch `i`, whose phase is
+    /// `fringe` fringes at label 0; `weight` of these. Labels that the patch `decides` to lie nowhere are never had.
+    fn look<const FIRST: bool>(&mut self, (i, fringe, weight): (usize, f32, f32), decides: bool) {
+        let (u, v) = self.own.pixel(&self.own.patches.all[i]);
         let table = self.own.projection.table;
         let line = table.sightline(u, v);
-        let fringe = patch.phase / TAU - field.base[i] as f32;
-        let place = (Differences::terms_of((u, v)), weight);
-        let mut rays = [Ray { direction: line.direction, inverse_depth: 0.0 }; PLACES];
-        let (mut labels, mut len) = ([0; PLACES], 0);
-        for first in (0..count).step_by(PLACES) {
-            let inverse: [f32; PLACES] = simd::dispatch(
-                #[inline(always)]
-                || table.inverse_depths(&line, fringe + first as f32),
-            );
-            for (l, inverse) in (first..count).zip(inverse) {
-                if inverse.is_nan() {
-                    costs[l] = f32::INFINITY;
-                } else if is_wanted(l) {
-                    (rays[len].inverse_depth, labels[len]) = (inverse, l);
-                    len += 1;
-                    if len == PLACES {
-                        self.add_costs(&rays, &labels, place, costs);
-                        len = 0;
-                    }
+        let count = self.costs.len();
+        self.inverse.clear();
+        self.inverse.resize(count.next_multiple_of(PLACES), 0.0);
+        simd::dispatch(
+            #[inline(always)]
+            || {
+                for (first, inverse) in self.inverse.as_chunks_mut::<PLACES>().0.iter_mut().enumerate() {
+                    *inverse = table.inverse_depths(&line, fringe + (first * PLACES) as f32);
+                }
+            },
+        );
+        self.compared.clear();
+        for l in 0..count {
+            let lies = !self.inverse[l].is_nan();
+            if decides && !lies {
+                self.wanted[l] = false;
+                self.costs[l] = f32::INFINITY;
+            }
+            self.compared.push(self.wanted[l] && lies);
+        }
+        let terms = Differences::terms_of((u, v));
+        if let Some(mate) = &mut self.mate {
+            mate.judge::<FIRST>(line.direction, fringe, &self.inverse, &terms);
+            // Where it contradicts all of them, all cameras are heard.
+            if (0..count).any(|l| self.compared[l] && !mate.contradicts[l]) {
+                for l in (0..count).filter(|&l| mate.contradicts[l]) {
+                    self.costs[l] += if self.compared[l] { weight * mate.costs[l] } else { 0.0 };
+                    self.compared[l] = false;
                 }
             }
         }
-        if len > 0 {
-            self.add_costs(&rays[..len], &labels, place, costs);
+        let mut rays = [Ray { direction: line.direction, inverse_depth: 0.0 }; PLACES];
+        let (mut labels, mut len) = ([0; PLACES], 0);
+        for l in 0..count {
+            if self.compared[l] {
+                (rays[len].inverse_depth, labels[len]) = (self.inverse[l], l);
+                len += 1;
+            }
+            if len == PLACES || l + 1 == count && len > 0 {
+                self.add_costs::<FIRST>(&rays[..len], &labels, (terms, weight));
+                len = 0;
+            }
         }
     }
 
     /// Adds the costs of some labels, by what the cameras observe there. `terms` of the patch's differences; `weight`
     /// of all its observations.
     #[inline(always)]
-    fn add_costs(
+    fn add_costs<const FIRST: bool>(
         &mut self,
         rays: &[Ray],
         labels: &[usize; PLACES],
         (terms, weight): ([f32; TERMS], f32),
-        costs: &mut [f32; LABELS],
     ) {
-        let Self { looks, view, weights, known, sights, .. } = self;
+        let Self { looks, view, weights, known, sights, costs, .. } = self;
         for (block, weights) in weights.iter().enumerate() {
             let nothing = looks.at(*view, block, rays, sights);
             let differences = &known.differences[*view][block];
@@ -300,10 +381,12 @@ impl Comparison<'_> {
                     }
                     for (seen, &l) in sights.iter().zip(labels).take(rays.len()) {
                         let mut turns = [NO_ORDER; LANES];
-                        for (turns, node) in turns.iter_mut().zip(seen.node) {
-                            *turns = known.turns[(node as usize).min(known.turns.len() - 1)];
+                        if !FIRST {
+                            for (turns, node) in turns.iter_mut().zip(seen.node) {
+                                *turns = known.turns[(node as usize).min(known.turns.len() - 1)];
+                            }
                         }
-                        costs[l] += weight * weights.cost(seen, &turns, &bias, nothing);
+                        costs[l] += weight * weights.cost::<FIRST>(seen, &turns, &bias, nothing);
                     }
                 },
             );

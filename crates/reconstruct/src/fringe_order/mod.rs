@@ -6,11 +6,14 @@
 //! links           where patches touch, and how surely they are one surface: its edges
 //! lookup          what a view has in each cell, for the other cameras
 //! projection      where the other cameras would see a place
+//! squares         the nodes of the graph: smooth patches together, others alone
 //! observation     what they see there
+//! same_head       the same for the other camera of the head, which is compared first
 //! evidence        what that costs each fringe order of a patch
 //! drift           by how much two cameras differ where both surely see one surface
 //! inference       the orders that cost least together, and by how much they lead
 //! one_view        the same for a camera alone
+//! witness         which surfaces another head or the marker bears out
 //! scene           a view with its patches, as the other cameras see it
 //! orders          the fringe orders that come out, and how certain they are
 //! unwrapped_frame a frame before and after
@@ -30,11 +33,14 @@ mod one_view;
 mod orders;
 mod patches;
 mod projection;
+mod same_head;
 mod scene;
+mod squares;
 pub mod unwrapped_frame;
+mod witness;
 
 pub use drift::MostDifference;
-use drift::{Differences, Turned};
+use drift::{Agreement, Differences};
 use evidence::{BEYOND, NO_ORDER, OrderTable};
 use inference::Field;
 pub(crate) use orders::Orders;
@@ -55,34 +61,41 @@ pub const MARGIN: f32 = 1.0;
 /// From this margin after the first pass on, a patch hides what lies behind it from the other cameras.
 const CERTAIN: f32 = 1.0;
 
+/// Sweeps of message passing in each pass; the second begins with the messages of the first.
+const SWEEPS: usize = 2;
+
 /// Gives every patch of every view its fringe order, or refuses it: [`Pipeline::finish`] adds these to the phases, of
 /// which only what is certain is left: orders that lead any other by at least `margin`. All views must show the same
 /// instant; cameras that differ by more than `most` contradict the calibration. The result does not depend on the
-/// number of threads.
+/// number of threads. Returned is which cameras could be compared with others.
 ///
 /// # Errors
 ///
 /// The cameras contradict each other so much that the calibration cannot be believed: then there are no orders.
 ///
 /// [`Pipeline::finish`]: super::pipeline::Pipeline::finish
-pub fn solve(views: &mut [View<'_>], margin: f32, most: MostDifference) -> Result<(), String> {
+pub fn solve(views: &mut [View<'_>], margin: f32, most: MostDifference) -> Result<Vec<bool>, String> {
     let start = Instant::now();
     let all: Vec<Patches> =
         views.iter_mut().map(|view| std::mem::take(&mut view.prepared.orders.patches)).collect();
-    let (results, verdict) = {
+    let (results, agreement) = {
         let scenes = all.into_par_iter().enumerate();
         let scenes: Vec<Scene<'_>> = scenes.map(|(view, patches)| Scene::new(views, view, patches)).collect();
-        let (found, turned) = label_all(&scenes, most);
-        let verdict = turned.map_or(Ok(()), |turned| Err(turned.message(views, most)));
+        let (found, differences) = label_all(&scenes, margin);
+        let agreement = Agreement::of(&differences, &scenes);
         let results: Vec<Found> =
             scenes.into_iter().zip(found).map(|(scene, x)| (scene.patches, x.0, x.1)).collect();
-        (results, verdict)
+        (results, agreement)
     };
+    let verdict = agreement.verdict(views, most);
+    for (view, differs_rad) in views.iter_mut().zip(agreement.differ_rad()) {
+        view.prepared.counts.differs_rad = differs_rad;
+    }
     let margin = if verdict.is_ok() { margin } else { f32::INFINITY };
     views.par_iter_mut().zip(results).for_each(|(view, found)| keep(view.prepared, found, margin));
     let share = start.elapsed() / views.len().max(1) as u32;
     views.iter_mut().for_each(|view| view.prepared.add_time("order", share));
-    verdict
+    verdict.map(|()| agreement.compared().collect())
 }
 
 /// The whole turns that make the phases of each patch of a view absolute, and by how much these lead any other.
@@ -91,44 +104,49 @@ type Turns = (Vec<i32>, Vec<f32>);
 /// The same with the patches.
 type Found = (Patches, Vec<i32>, Vec<f32>);
 
-/// The turns of each view, and the camera that differs most, if the cameras contradict each other.
-fn label_all(scenes: &[Scene<'_>], most: MostDifference) -> (Vec<Turns>, Option<Turned>) {
+/// The turns of each view, and how far the cameras agree.
+fn label_all(scenes: &[Scene<'_>], margin: f32) -> (Vec<Turns>, Vec<Vec<Differences>>) {
     let mut fields: Vec<Field<'_>> =
         (0..scenes.len()).into_par_iter().map(|i| Field::new(scenes, i)).collect();
-    let mut turned = None;
+    let mut differences = Vec::new();
     if let [field] = &mut fields[..] {
         one_view::infer(field);
     } else {
-        turned = infer_together(&mut fields, scenes, most);
+        differences = infer_together(&mut fields, scenes, margin);
     }
     let of = |field: Field<'_>| {
-        ((0..field.graph.label.len()).map(|i| field.turns(i)).collect(), field.graph.margin)
+        let patches = 0..field.base.len();
+        (patches.clone().map(|i| field.turns(i)).collect(), patches.map(|i| field.margin(i)).collect())
     };
-    (fields.into_iter().map(of).collect(), turned)
+    (fields.into_iter().map(of).collect(), differences)
 }
 
-/// The two passes. The first gives an estimate of what hides what, and of the differences between cameras; the second
-/// uses both.
-fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>], most: MostDifference) -> Option<Turned> {
-    let patches: usize = scenes.iter().map(|scene| scene.patches.all.len()).sum();
+/// The two passes, and the witnesses. The first pass gives an estimate of what hides what, and of the differences between
+/// cameras, which are returned; the second uses both.
+fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>], margin: f32) -> Vec<Vec<Differences>> {
     let none = vec![vec![Differences::default(); scenes.len().div_ceil(LANES)]; scenes.len()];
-    let mut known = OrderTable { turns: vec![NO_ORDER; patches + BEYOND], differences: none };
+    let mut known = OrderTable { turns: Vec::new(), differences: none };
+    known.turns = turns_from(fields, f32::INFINITY);
     for first in [true, false] {
         fields.par_iter_mut().for_each(|field| {
             evidence::collect(field, scenes, &known, first);
-            field.graph.infer();
+            field.graph.infer(SWEEPS);
         });
+        known.turns = turns_from(fields, if first { CERTAIN } else { margin });
         if first {
-            let turns = |field: &Field<'_>, i: usize| {
-                if field.graph.margin[i] >= CERTAIN { field.turns(i) } else { NO_ORDER }
-            };
-            let all =
-                fields.iter().flat_map(|field| (0..field.graph.label.len()).map(move |i| turns(field, i)));
-            known.turns = all.chain([NO_ORDER; BEYOND]).collect();
             known.differences = fields.par_iter().map(|field| drift::of(field, scenes, &known)).collect();
         }
     }
-    Turned::most(&known.differences, most)
+    fields.par_iter_mut().for_each(|field| witness::require(field, scenes, &known, margin));
+    known.differences
+}
+
+/// The turns of the patches of all views whose margin is at least this, and [`BEYOND`] entries.
+fn turns_from(fields: &[Field<'_>], least: f32) -> Vec<i32> {
+    let turns =
+        |field: &Field<'_>, i: usize| if field.margin(i) >= least { field.turns(i) } else { NO_ORDER };
+    let all = fields.iter().flat_map(|field| (0..field.base.len()).map(move |i| turns(field, i)));
+    all.chain([NO_ORDER; BEYOND]).collect()
 }
 
 /// Keeps the orders of a view's patches.

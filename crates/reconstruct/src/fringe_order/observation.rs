@@ -11,7 +11,7 @@
 
 use super::lookup::{CellContent, CellLanes, CellLookup};
 use super::patches::CELL_PX;
-use super::projection::{LANES, Projected, Ray};
+use super::projection::{InCells, LANES, Projected, Ray};
 use super::scene::Scene;
 use crate::kernels::fast_round::floor;
 use crate::kernels::{prefetch, simd};
@@ -124,7 +124,7 @@ impl<'a> Observations<'a> {
             || {
                 projection.spots(block, rays, spots);
                 for (cells, spots) in cells.iter_mut().zip(&*spots).take(rays.len()) {
-                    for (i, (grid, &cell)) in grids.iter().zip(&spots.cell).enumerate() {
+                    for (i, (grid, &cell)) in grids.iter().zip(&spots.at.cell).enumerate() {
                         cells.set(i, grid.get(cell as usize).unwrap_or(&CellContent::UNSEEN));
                     }
                 }
@@ -147,7 +147,7 @@ impl<'a> Observations<'a> {
             let bit = vague.trailing_zeros() as usize;
             let (k, i) = (bit / LANES, bit % LANES);
             let (lookup, pixels, spots) = (&scenes[i].patches.lookup, &pixels[k], &spots[k]);
-            let beyond = || (past(lookup, spots.cell[i], pixels, i, numbers), 0.0);
+            let beyond = || (past(lookup, spots.at.cell[i], pixels, i, numbers), 0.0);
             let seen = see_closely(lookup, pixels, i, spots.cast[i], numbers).unwrap_or_else(beyond);
             (sights[k].node[i], sights[k].ahead[i]) = seen;
             vague &= vague - 1;
@@ -162,7 +162,7 @@ impl<'a> Observations<'a> {
 #[inline(always)]
 fn glance(cells: &CellLanes<LANES>, spots: &Projected, numbers: &Numbers) -> (Observed, Pixels, u32) {
     // Values that may be written meanwhile would be loaded where they are chosen, by a branch.
-    let (Numbers { first, .. }, Projected { right, down, cast, .. }) = (*numbers, *spots);
+    let (Numbers { first, .. }, Projected { at: InCells { right, down, .. }, cast }) = (*numbers, *spots);
     let (nothing, past) = (numbers.nothing(), numbers.past());
     let (mut sights, mut pixels, mut unclear) = (Observed::NONE, Pixels::default(), [0u32; LANES]);
     for i in 0..LANES {
@@ -267,17 +267,17 @@ mod tests {
     fn sight(view: &Patches, x: f32, y: f32) -> (u32, f32) {
         let [column, row] = [x, y + 0.5].map(|x| (x + PAD_PX as f32) as usize / CELL_PX);
         let mut spots = Projected::NONE;
-        spots.cell[5] = (row * padded(view.width) + column) as u32;
-        spots.right[5] = x + PAD_PX as f32 - (column * CELL_PX) as f32;
-        spots.down[5] = y + PAD_PX as f32 - (row * CELL_PX) as f32;
+        spots.at.cell[5] = (row * padded(view.width) + column) as u32;
+        spots.at.right[5] = x + PAD_PX as f32 - (column * CELL_PX) as f32;
+        spots.at.down[5] = y + PAD_PX as f32 - (row * CELL_PX) as f32;
         spots.cast[5] = 3.0;
         let mut cells = CellLanes::UNSEEN;
-        cells.set(5, view.lookup.at(spots.cell[5]));
+        cells.set(5, view.lookup.at(spots.at.cell[5]));
         let (Observed { node, ahead }, pixels, unclear) = glance(&cells, &spots, &OWN);
         if unclear >> 5 & 1 == 0 {
             return (node[5], ahead[5]);
         }
-        let past = || (past(&view.lookup, spots.cell[5], &pixels, 5, &OWN), 0.0);
+        let past = || (past(&view.lookup, spots.at.cell[5], &pixels, 5, &OWN), 0.0);
         see_closely(&view.lookup, &pixels, 5, spots.cast[5], &OWN).unwrap_or_else(past)
     }
 
@@ -306,9 +306,9 @@ mod tests {
         let view = view();
         for place in [0.0, 3e38, -3e38, f32::INFINITY, f32::NAN] {
             let mut spots = Projected::NONE;
-            (spots.right[2], spots.down[2], spots.cast[2]) = (place, place, place);
+            (spots.at.right[2], spots.at.down[2], spots.cast[2]) = (place, place, place);
             let mut cells = CellLanes::UNSEEN;
-            cells.set(2, view.lookup.at(spots.cell[2]));
+            cells.set(2, view.lookup.at(spots.at.cell[2]));
             let (sights, _, unclear) = glance(&cells, &spots, &OWN);
             assert_eq!((sights.node[2], unclear), (OWN.nothing(), 0), "{place}");
         }

@@ -48,6 +48,15 @@ pub struct Patch {
     pub mask: u64,
     /// Mean step to the right beyond the carrier's, and down, rad.
     pub steps: [f32; 2],
+    /// Step of the carrier to the right at that pixel, rad.
+    pub carrier: f32,
+}
+
+impl Patch {
+    /// The phase that the patch would have so many columns to the right and rows down, less its own, rad.
+    pub fn change(&self, right: f32, down: f32) -> f32 {
+        right * (self.carrier + self.steps[0]) + down * self.steps[1]
+    }
 }
 
 /// What patches are cut from.
@@ -150,7 +159,8 @@ impl Patches {
         if largest < INNER_RAD {
             write(surface.phase, left, top, &phase);
             let plane = plane(&phase);
-            self.add(ALL, (column, row), &phase, &right, &down);
+            let carrier = surface.sign * TAU / period[MIDDLE / CELL_PX][MIDDLE % CELL_PX];
+            self.add(ALL, (column, row), &phase, [&right, &down], carrier);
             // The plane through all pixels has less noise than one pixel.
             let (u, v) = (MIDDLE % CELL_PX, MIDDLE / CELL_PX);
             self.all[first].phase = plane.at(u as f32, v as f32);
@@ -168,7 +178,11 @@ impl Patches {
         let Cell { phase, period, right, down, object } = cell;
         let first = self.all.len();
         write(surface.phase, column * CELL_PX, top, phase);
-        each_patch(phase, right, down, |mask| self.add(mask, (column, row), phase, right, down));
+        each_patch(phase, right, down, |mask| {
+            let pixel = middle(mask);
+            let carrier = surface.sign * TAU / period[pixel / CELL_PX][pixel % CELL_PX];
+            self.add(mask, (column, row), phase, [right, down], carrier);
+        });
         let count = self.all.len() - first;
         self.grid[row * self.columns + column] = Spot { first: first as u32, count: count as u32 };
         let mut rim = object.to_le_bytes().map(|object| RimRow::new(first as u32, object));
@@ -195,9 +209,16 @@ impl Patches {
         self.lookup.set_rim(column, row, rim);
     }
 
-    /// Adds a patch: these pixels of a cell.
+    /// Adds a patch: these pixels of a cell, with the steps to the right and down of its pixels.
     #[inline(always)]
-    fn add(&mut self, mask: u64, (column, row): (usize, usize), phase: &Block, right: &Block, down: &Block) {
+    fn add(
+        &mut self,
+        mask: u64,
+        (column, row): (usize, usize),
+        phase: &Block,
+        [right, down]: [&Block; 2],
+        carrier: f32,
+    ) {
         let place = if mask == ALL { MIDDLE } else { middle(mask) };
         let (u, v) = (place % CELL_PX, place / CELL_PX);
         let inner = [mask & (mask << 1) & !FIRST_COLUMN, mask & (mask << CELL_PX)];
@@ -208,6 +229,7 @@ impl Patches {
             cell: (row * self.columns + column) as u32,
             mask,
             steps: [mean(inner[0], right), mean(inner[1], down)],
+            carrier,
         });
     }
 

@@ -22,15 +22,22 @@ pub const LANES: usize = 8;
 
 type Lanes = [f32; LANES];
 
-/// Where each camera of some would see a place.
+/// Places in the cells of some cameras.
 #[derive(Debug, Clone, Copy)]
-pub struct Projected {
+pub struct InCells {
     /// Cell of the padded grid; [`NOWHERE`] where the camera does not see it.
     pub cell: [u32; LANES],
     /// Columns from the cell's first.
     pub right: Lanes,
     /// Rows from the cell's first.
     pub down: Lanes,
+}
+
+/// Where each camera of some would see a place.
+#[derive(Debug, Clone, Copy)]
+pub struct Projected {
+    /// The place in the camera's cells.
+    pub at: InCells,
     /// Phase that the projector of its head casts there, rad; NaN where it casts none.
     pub cast: Lanes,
 }
@@ -47,10 +54,13 @@ pub struct Ray {
     pub inverse_depth: f32,
 }
 
+impl InCells {
+    const NONE: Self = Self { cell: [NOWHERE; LANES], right: [0.0; LANES], down: [0.0; LANES] };
+}
+
 impl Projected {
     /// A place that no camera sees.
-    pub const NONE: Self =
-        Self { cell: [NOWHERE; LANES], right: [0.0; LANES], down: [0.0; LANES], cast: [f32::NAN; LANES] };
+    pub const NONE: Self = Self { at: InCells::NONE, cast: [f32::NAN; LANES] };
 }
 
 /// Devices side by side: what [`Device::project`] does, for lines of sight of one view.
@@ -86,22 +96,31 @@ impl Devices {
         set(&mut self.slope, lane, [3.0 * k1, 5.0 * k2, 7.0 * k3]);
     }
 
-    /// One coordinate of a place in the axes of a device, times the inverse depth `w`.
+    /// A direction in the axes of each device.
     #[inline(always)]
-    fn axis(&self, row: usize, i: usize, d: [f32; 3], w: f32) -> f32 {
-        let [x, y, z] = &self.turn[row];
-        w * self.centre[row][i] + (x[i] * d[0] + y[i] * d[1] + z[i] * d[2])
+    fn turned(&self, d: [f32; 3]) -> [Lanes; 3] {
+        let mut out = [[0.0; LANES]; 3];
+        for (out, [x, y, z]) in out.iter_mut().zip(&self.turn) {
+            for i in 0..LANES {
+                out[i] = x[i] * d[0] + y[i] * d[1] + z[i] * d[2];
+            }
+        }
+        out
     }
 
-    /// Column and row of the place at inverse depth `w` of the line of sight along `d`; no number behind the device,
-    /// where its lens folds over, and in lanes without a device.
+    /// Column and row of the places at inverse depths `w` of the line of sight along a direction that is [turned
+    /// ](Self::turned); no number behind the device, where its lens folds over, and in lanes without a device.
     #[inline(always)]
-    fn project(&self, d: [f32; 3], w: f32) -> [Lanes; 2] {
+    fn project(&self, turned: &[Lanes; 3], w: &Lanes) -> [Lanes; 2] {
         let mut out = [[0.0; LANES]; 2];
         for i in 0..LANES {
-            let depth = self.axis(2, i, d, w);
+            // Times the inverse depth: only quotients matter.
+            let [x, y, depth] = [0, 1, 2].map(
+                #[inline(always)]
+                |axis: usize| w[i] * self.centre[axis][i] + turned[axis][i],
+            );
             let inverse = 1.0 / depth;
-            let (x, y) = (self.axis(0, i, d, w) * inverse, self.axis(1, i, d, w) * inverse);
+            let (x, y) = (x * inverse, y * inverse);
             let [k1, k2, p1, p2, k3] = &self.distortion;
             let r2 = x * x + y * y;
             let radial = 1.0 + r2 * (k1[i] + r2 * (k2[i] + r2 * k3[i]));
@@ -147,50 +166,91 @@ pub struct Projection<'a> {
     /// The view's lines of sight.
     pub table: &'a RayTable,
     blocks: Vec<Block>,
+    /// Another camera of the same head, the same in all lanes: for as many places at once.
+    mate: Option<(usize, Block)>,
 }
 
 impl<'a> Projection<'a> {
-    /// From camera `view` of some, given with their regions of interest. `table` has its lines of sight.
+    /// From camera `view` of some, given with their regions of interest and their heads. `table` has its lines of sight.
     pub fn new<'b>(
         table: &'a RayTable,
         view: usize,
-        cameras: impl ExactSizeIterator<Item = (&'b CameraProjector, Roi)> + Clone,
+        cameras: impl ExactSizeIterator<Item = (&'b CameraProjector, Roi, usize)> + Clone,
     ) -> Self {
-        let centre = cameras.clone().nth(view).map_or_else(Point3::origin, |(pair, _)| pair.camera.centre());
+        let own = cameras.clone().nth(view);
+        let centre = own.map_or_else(Point3::origin, |(pair, ..)| pair.camera.centre());
         let mut blocks = vec![Block::default(); cameras.len().div_ceil(LANES)];
-        for (i, (pair, roi)) in cameras.enumerate().filter(|x| x.0 != view) {
-            let (block, lane) = (&mut blocks[i / LANES], i % LANES);
-            block.cameras.set(lane, &pair.camera, &centre);
-            block.projectors.set(lane, &pair.projector, &centre);
-            block.per_column[lane] = (std::f64::consts::TAU / pair.pattern.period_px) as f32;
-            let size = [pair.camera.width, pair.camera.height];
-            let cells = [roi.width, roi.height].map(padded);
-            for (axis, origin) in [roi.u, roi.v].into_iter().enumerate() {
-                block.origin[axis][lane] = origin as f32;
-                block.end[axis][lane] = size[axis] as f32 - BACKGROUND_PX;
-                block.last[axis][lane] = (cells[axis] * CELL_PX - 1) as f32;
+        let mut mate = None;
+        for (i, (pair, roi, head)) in cameras.enumerate().filter(|x| x.0 != view) {
+            blocks[i / LANES].set(i % LANES, (pair, roi), &centre);
+            if mate.is_none() && own.is_some_and(|own| own.2 == head) {
+                let mut block = Block::default();
+                (0..LANES).for_each(|lane| block.set(lane, (pair, roi), &centre));
+                mate = Some((i, block));
             }
-            block.stride[lane] = cells[0] as u32;
         }
-        Self { table, blocks }
+        Self { table, blocks, mate }
+    }
+
+    /// The number of another camera of the same head, if there is one.
+    pub fn mate(&self) -> Option<usize> {
+        self.mate.as_ref().map(|mate| mate.0)
+    }
+
+    /// Where the [mate](Self::mate) sees the places at these inverse depths, 1/m, of the line of sight along a
+    /// direction.
+    #[inline(always)]
+    pub fn at_mate(&self, direction: [f32; 3], inverse_depths: &Lanes) -> InCells {
+        let mut at = InCells::NONE;
+        if let Some((_, block)) = &self.mate {
+            block.find(&block.cameras.turned(direction), inverse_depths, &mut at);
+        }
+        at
     }
 
     /// Where each camera of a block of eight sees places.
     #[inline(always)]
     pub fn spots(&self, block: usize, places: &[Ray], out: &mut [Projected]) {
         let block = &self.blocks[block];
+        let Some(first) = places.first() else { return };
+        let turned = |d: [f32; 3]| [block.cameras.turned(d), block.projectors.turned(d)];
+        // Most places lie on one line of sight.
+        let (mut direction, mut devices) = (first.direction, turned(first.direction));
         for (out, place) in out.iter_mut().zip(places) {
-            block.spots(place, out);
+            if place.direction != direction {
+                direction = place.direction;
+                devices = turned(direction);
+            }
+            let w = [place.inverse_depth; LANES];
+            block.find(&devices[0], &w, &mut out.at);
+            let [column, _] = block.projectors.project(&devices[1], &w);
+            for ((cast, column), per_column) in out.cast.iter_mut().zip(column).zip(block.per_column) {
+                *cast = (column + 0.5) * per_column;
+            }
         }
     }
 }
 
 impl Block {
+    fn set(&mut self, lane: usize, (pair, roi): (&CameraProjector, Roi), view_centre: &Point3<f64>) {
+        self.cameras.set(lane, &pair.camera, view_centre);
+        self.projectors.set(lane, &pair.projector, view_centre);
+        self.per_column[lane] = (std::f64::consts::TAU / pair.pattern.period_px) as f32;
+        let size = [pair.camera.width, pair.camera.height];
+        let cells = [roi.width, roi.height].map(padded);
+        for (axis, origin) in [roi.u, roi.v].into_iter().enumerate() {
+            self.origin[axis][lane] = origin as f32;
+            self.end[axis][lane] = size[axis] as f32 - BACKGROUND_PX;
+            self.last[axis][lane] = (cells[axis] * CELL_PX - 1) as f32;
+        }
+        self.stride[lane] = cells[0] as u32;
+    }
+
+    /// The places of a line of sight, at an inverse depth for each camera, in the cameras' cells.
     #[inline(always)]
-    fn spots(&self, place: &Ray, out: &mut Projected) {
+    fn find(&self, turned: &[Lanes; 3], w: &Lanes, out: &mut InCells) {
         const PAD: f32 = PAD_PX as f32;
-        let [u, v] = self.cameras.project(place.direction, place.inverse_depth);
-        let [column, _] = self.projectors.project(place.direction, place.inverse_depth);
+        let [u, v] = self.cameras.project(turned, w);
         for i in 0..LANES {
             let (x, y) = (u[i] - self.origin[0][i], v[i] - self.origin[1][i]);
             // A pixel has its row in the middle; columns are interpolated from one to the next.
@@ -204,9 +264,6 @@ impl Block {
             out.cell[i] = if seen { row as u32 * self.stride[i] + column as u32 } else { NOWHERE };
             out.right[i] = x + PAD - (column * CELL_PX as i32) as f32;
             out.down[i] = y + PAD - (row * CELL_PX as i32) as f32;
-        }
-        for ((cast, column), per_column) in out.cast.iter_mut().zip(column).zip(self.per_column) {
-            *cast = (column + 0.5) * per_column;
         }
     }
 }
@@ -246,7 +303,7 @@ mod tests {
         let roi = Roi { u: 300, v: 200, width: 1100, height: 700 };
         let (view, table) = (1, RayTable::new(&pairs[1]));
         let triangulator = Triangulator::new(pairs[view].clone());
-        let projection = Projection::new(&table, view, pairs.iter().map(|pair| (pair, roi)));
+        let projection = Projection::new(&table, view, pairs.iter().map(|pair| (pair, roi, 0)));
         let stride = padded(roi.width);
         let (mut seen, mut looks) = (0, 0);
         for (i, fringe) in (0..2000u32).map(|i| (i, f64::from(i) * 0.618 % 128.0)) {
@@ -270,11 +327,12 @@ mod tests {
                     if !near(place[0], pair.camera.width) || !near(place[1], pair.camera.height) {
                         continue;
                     }
-                    assert_ne!(spots.cell[i], NOWHERE);
+                    assert_ne!(spots.at.cell[i], NOWHERE);
                     let first_px = |cell: usize| (cell * CELL_PX) as f64 - PAD_PX as f64;
-                    let (column, row) = (spots.cell[i] as usize % stride, spots.cell[i] as usize / stride);
-                    let x = first_px(column) + f64::from(spots.right[i]);
-                    let y = first_px(row) + f64::from(spots.down[i]);
+                    let (column, row) =
+                        (spots.at.cell[i] as usize % stride, spots.at.cell[i] as usize / stride);
+                    let x = first_px(column) + f64::from(spots.at.right[i]);
+                    let y = first_px(row) + f64::from(spots.at.down[i]);
                     let off = (x + 300.0 - place[0]).hypot(y + 200.0 - place[1]);
                     assert!(off < 0.05, "{off} px");
                     if let Some([column, _]) = pair.projector.project(&world) {

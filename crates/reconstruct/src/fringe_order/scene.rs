@@ -27,6 +27,9 @@ pub struct Scene<'a> {
     pub votes: Vec<(u32, i32, u32)>,
     /// Mean light of its patches, DN.
     pub light_dn: f32,
+    /// Whether each patch has half the light that the light itself falls on in the mean: differences of darker ones tell of
+    /// noise, and of a floor, rather than of devices.
+    pub is_bright: Vec<bool>,
 }
 
 impl<'a> Scene<'a> {
@@ -35,7 +38,9 @@ impl<'a> Scene<'a> {
         let view = &views[number];
         let prepared = &*view.prepared;
         let pair = view.triangulator.pair();
-        let light: f32 = patches.all.iter().map(|patch| prepared.light_dn(patch.pixel as usize)).sum();
+        let lights: Vec<f32> =
+            patches.all.iter().map(|patch| prepared.light_dn(patch.pixel as usize)).collect();
+        let (light, squares) = lights.iter().fold((0.0, 0.0), |sum, x| (sum.0 + x, sum.1 + x * x));
         Self {
             head: view.head,
             towards: towards(pair),
@@ -43,10 +48,11 @@ impl<'a> Scene<'a> {
             projection: Projection::new(
                 &prepared.table,
                 number,
-                views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi)),
+                views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi, x.head)),
             ),
             votes: votes(&patches, prepared, pair),
             light_dn: light / patches.all.len().max(1) as f32,
+            is_bright: lights.iter().map(|x| x * light >= 0.5 * squares).collect(),
             patches,
         }
     }

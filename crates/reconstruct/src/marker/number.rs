@@ -40,7 +40,7 @@ pub fn assign(marker: &mut MarkerPieces, roi: Roi, pair: &CameraProjector) {
 fn number(samples: &[(usize, usize)], pair: &CameraProjector) -> u8 {
     let mut allowed = vec![0u32; pair.markers.len()];
     for &(u, v) in samples {
-        let Some([low, high]) = pair.columns_in_volume(u, v) else { continue };
+        let Some([low, high]) = pair.columns_sought(u, v) else { continue };
         for (allowed, &marker) in allowed.iter_mut().zip(&pair.markers) {
             let column = f64::from(marker) * pair.pattern.period_px - 0.5;
             *allowed += u32::from(low <= column && column <= high);

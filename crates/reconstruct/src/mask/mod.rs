@@ -14,7 +14,7 @@ use super::kernels::sliding::extremes;
 use crate::base::image::{Mono8, Plane};
 use envelope::Above;
 
-/// Pixels at or above this value are over-exposed: their phase means nothing.
+/// Pixels at or above this value are over-exposed: how much light they got is not known.
 pub const SATURATED: u8 = 250;
 
 /// Width of the closing over the dark half of a fringe, in nominal fringe periods.
@@ -23,8 +23,8 @@ pub(super) const CLOSING_PERIODS: f32 = 1.2;
 /// Smallest component that [`envelope`] keeps, px.
 const MIN_COMPONENT_PX: u32 = 400;
 
-/// Envelope levels below the black level by less than this are never object, DN.
-const MIN_ABOVE_BLACK_DN: u8 = 6;
+/// Envelope levels above the black level by less than this are never object, DN: noise alone reaches two.
+const MIN_ABOVE_BLACK_DN: u8 = 3;
 
 /// Envelope levels above the black level by more than this are always object, DN: fringes on dark hair are
 /// that weak, and Otsu's threshold, drawn by the mass of bright skin, lies above them.

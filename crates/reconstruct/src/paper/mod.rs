@@ -74,7 +74,7 @@ pub(super) fn reconstruct(
     keep_maps: bool,
 ) -> Reconstruction {
     let mut clock = Clock::default();
-    let AbsolutePhase { fm, light, counts, maps: mut planes } =
+    let AbsolutePhase { fm, light, mut counts, maps: mut planes } =
         clock.time("paper", || absolute_phase(image, pair));
     let (width, height) = (image.width(), image.height());
     let roi = Roi { u: 0, v: 0, width, height };
@@ -83,9 +83,10 @@ pub(super) fn reconstruct(
     let size = [width as u16, height as u16];
     let phase = clock.time("quantize", || points::phase_map(&known, None, size));
     let cloud = clock.time("points", || points::make(table, &phase));
+    counts.points = cloud.len();
     let outcome = match counts.object {
         0 => Outcome::Refused(NO_OBJECT.to_owned()),
-        _ => outcome_of(&cloud, &counts),
+        _ => outcome_of(&counts),
     };
     planes.push(("Fm", fm));
     let maps = keep_maps.then_some(Maps { roi, frame: (width, height), planes });

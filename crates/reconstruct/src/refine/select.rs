@@ -8,16 +8,14 @@ use super::FrameMaps;
 use crate::base::image::Plane;
 use crate::kernels::pixel_runs::{Run, each_not_0};
 use crate::kernels::{prefetch, simd};
-use crate::phase::window_quality::{DOUBTFUL_MISFIT, STEPS_PER_DN};
+use crate::phase::window_quality::DOUBTFUL_MISFIT;
 use std::f32::consts::TAU;
 
 /// Neighbours whose phases differ from the carrier by more are on two surfaces, rad.
 const STEP_RAD: f32 = 1.2;
 
-/// Fainter fringes give no point, DN of amplitude B.
-const MIN_AMPLITUDE_DN: f32 = 1.5;
-
-/// Windows of a larger misfit do not look like a fringe, relative to B.
+/// Windows of a larger misfit do not look like a fringe, relative to B. Fringes that are lost in noise have one, too: how
+/// faint a fringe may be depends on the noise alone.
 const MAX_MISFIT: f32 = 0.6;
 
 /// Rows of marks around the row that is worked on.
@@ -32,7 +30,7 @@ struct Buffers {
     right: Vec<u8>,
 }
 
-/// Drops pixels that are faint, do not look like a fringe, or lie near a depth step; `absolute`, which is known within
+/// Drops pixels that do not look like a fringe, or lie near a depth step; `absolute`, which is known within
 /// `runs` only, becomes NaN there. Returns how many were dropped.
 pub fn select(
     absolute: &mut Plane<f32>,
@@ -52,7 +50,6 @@ pub fn select(
                 let soon = next + prefetch::AHEAD;
                 prefetch::row(absolute, runs, soon);
                 prefetch::row(period, runs, soon);
-                prefetch::row(&windows.strength, runs, soon);
                 prefetch::row(&windows.misfit, runs, soon);
                 if next < h {
                     buffers.near[(next + 1) % 3].fill(0);
@@ -65,11 +62,10 @@ pub fn select(
                 let Some(v) = next.checked_sub(1) else { continue };
                 for run in runs.row(v) {
                     let columns = run.columns();
-                    let strength = &windows.strength.row(v)[columns.clone()];
                     let misfit = &windows.misfit.row(v)[columns.clone()];
                     let near = &buffers.near[v % 3][columns.clone()];
                     let phase = &mut absolute.row_mut(v)[columns];
-                    dropped += drop_from(phase, (strength, misfit, near));
+                    dropped += drop_from(phase, misfit, near);
                 }
             }
         },
@@ -132,16 +128,15 @@ impl Buffers {
     }
 }
 
-/// Drops the pixels of a run that are faint, unlike a fringe or near a step; returns how many.
+/// Drops the pixels of a run that are unlike a fringe or near a step; returns how many.
 #[inline(always)]
-fn drop_from(phase: &mut [f32], (strength, misfit, near): (&[u16], &[f32], &[u8])) -> usize {
+fn drop_from(phase: &mut [f32], misfit: &[f32], near: &[u8]) -> usize {
     let n = phase.len();
-    let (strength, misfit, near) = (&strength[..n], &misfit[..n], &near[..n]);
-    let least = (6.0 * MIN_AMPLITUDE_DN * STEPS_PER_DN) as u16;
+    let (misfit, near) = (&misfit[..n], &near[..n]);
     let mut dropped = 0u32;
     for i in 0..n {
         let apart = (near[i] == 0) | (misfit[i] < DOUBTFUL_MISFIT);
-        let good = (strength[i] >= least) & (misfit[i] <= MAX_MISFIT) & apart;
+        let good = (misfit[i] <= MAX_MISFIT) & apart;
         dropped += u32::from(!good & !phase[i].is_nan());
         phase[i] = if good { phase[i] } else { f32::NAN };
     }

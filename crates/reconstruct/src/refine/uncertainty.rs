@@ -11,8 +11,9 @@
 //!   of equal light have from noise and from harmonics, which do no harm.
 //! - **Doubt.** At edges of colour it is the error that `albedo_edges` expects.
 //!
-//! These are independent. Not in it: the calibration, which moves all points of a camera together, and wrong fringe
-//! orders, which are refused and have no distribution. `fourdbody validate truth --uncertainty` holds it against
+//! - **Calibration.** What the camera differs from others by, beyond what it would with the true calibration.
+//!
+//! These are independent. Not in it: wrong fringe orders, which are refused and have no distribution. `fourdbody validate truth --uncertainty` holds it against
 //! rendered truth.
 
 use super::FrameMaps;
@@ -59,6 +60,10 @@ const DEFAULT_NOISE: f32 = 0.6;
 /// What the formula is off by on every surface: panel pixels, rounding, harmonics that are left, rad.
 const FLOOR_RAD: f32 = 0.0055;
 
+/// What cameras differ by where the calibration is the true one, rad: they are compared before what bends and shades the
+/// phase is taken off. What they differ by beyond that is the calibration's.
+const TRUE_DIFFERENCE_RAD: f32 = 0.03;
+
 /// Standard uncertainty per misfit beyond that of noise, rad.
 const PER_MISFIT: f32 = 0.4;
 
@@ -69,17 +74,21 @@ const USUAL: f32 = 2.0;
 const CORE_SHARE: f32 = 0.55;
 
 /// The standard uncertainty of every known phase, as a byte ([`encode_sigma`]). `expected`: the error that `edges`
-/// found for doubtful pixels, NaN for all others. `marker_rows`: rows averaged where `zone` is not 0.
+/// found for doubtful pixels, NaN for all others. `marker_rows`: rows averaged where `zone` is not 0. `differs_rad`: by
+/// how much the camera differs from others.
 pub fn sigma_codes(
     absolute: &Plane<f32>,
     FrameMaps { windows, zone, .. }: FrameMaps<'_>,
     expected: &Plane<f32>,
     marker_rows: f32,
+    differs_rad: f32,
 ) -> Plane<u8> {
     let (width, height) = (absolute.width(), absolute.height());
     let rows = averaged_rows(windows);
     let noise = Noise::of(absolute, windows, &rows);
     let mut sigma_codes = Plane::filled(width, height, 0u8);
+    let calibration = differs_rad * differs_rad - TRUE_DIFFERENCE_RAD * TRUE_DIFFERENCE_RAD;
+    let everywhere = FLOOR_RAD * FLOOR_RAD + calibration.max(0.0);
     simd::dispatch(
         #[inline(always)]
         || {
@@ -103,8 +112,7 @@ pub fn sigma_codes(
                     } else {
                         CORE_SHARE * expected[u]
                     };
-                    *sigma_code =
-                        encode_sigma((random * random + shape * shape + FLOOR_RAD * FLOOR_RAD).sqrt());
+                    *sigma_code = encode_sigma((random * random + shape * shape + everywhere).sqrt());
                 }
             }
         },

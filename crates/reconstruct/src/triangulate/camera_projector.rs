@@ -38,7 +38,8 @@ pub struct CameraProjector {
 /// Lines of sight are cut off nearer to the camera than this, m. [`super::ray_table`] tabulates from 0.2 m on.
 const NEAREST_M: f64 = 0.05;
 
-/// Points this far outside the calibrated volume are still accepted, m: a hand may reach out of it.
+/// Surfaces are sought this far outside of the volume, m. No points are made of them there: but a floor on the border
+/// that could not be where it is would be taken for something within.
 const VOLUME_MARGIN_M: f64 = 0.10;
 
 impl CameraProjector {
@@ -68,28 +69,34 @@ impl CameraProjector {
             marker_contrast: marker_contrast as f32,
             markers: pattern.markers(head.projector.width),
             pattern,
-            volume_min_m: min.map(|x| x - VOLUME_MARGIN_M),
-            volume_max_m: max.map(|x| x + VOLUME_MARGIN_M),
+            volume_min_m: min,
+            volume_max_m: max,
         })
     }
 
-    /// The ray of pixel (u, v), and the distances, m, between which it is in the volume; `None` where it misses it.
-    pub fn distances_in_volume(&self, u: usize, v: usize) -> Option<(Ray, [f64; 2])> {
+    /// Lower and upper corner of where surfaces are sought, world, m: the volume, and a hand's breadth around it.
+    pub fn sought_m(&self) -> [[f64; 3]; 2] {
+        [self.volume_min_m.map(|x| x - VOLUME_MARGIN_M), self.volume_max_m.map(|x| x + VOLUME_MARGIN_M)]
+    }
+
+    /// The ray of pixel (u, v), and the distances, m, between which surfaces are [sought](Self::sought_m); `None` where
+    /// it misses that.
+    pub fn distances_sought(&self, u: usize, v: usize) -> Option<(Ray, [f64; 2])> {
+        let [min, max] = self.sought_m();
         let ray = self.camera.ray(u as f64, v as f64)?;
         let (from, to) = (ray.at(0.0), ray.at(1.0));
         let (mut near, mut far) = (NEAREST_M, f64::INFINITY);
         for i in 0..3 {
-            let ends =
-                [self.volume_min_m[i], self.volume_max_m[i]].map(|x| (x - from[i]) / (to[i] - from[i]));
+            let ends = [min[i], max[i]].map(|x| (x - from[i]) / (to[i] - from[i]));
             (near, far) = (near.max(ends[0].min(ends[1])), far.min(ends[0].max(ends[1])));
         }
         (near <= far).then_some((ray, [near, far]))
     }
 
-    /// Least and largest projector column that the ray of pixel (u, v) meets within the volume, px; `None` where it
-    /// misses the volume or the projector does not see what it meets.
-    pub fn columns_in_volume(&self, u: usize, v: usize) -> Option<[f64; 2]> {
-        let (ray, distances) = self.distances_in_volume(u, v)?;
+    /// Least and largest projector column that the ray of pixel (u, v) meets where surfaces are [sought](Self::sought_m),
+    /// px; `None` where it misses that or the projector does not see what it meets.
+    pub fn columns_sought(&self, u: usize, v: usize) -> Option<[f64; 2]> {
+        let (ray, distances) = self.distances_sought(u, v)?;
         let [near, far] = distances.map(|x| self.projector.project(&ray.at(x)).map(|[column, _]| column));
         let (near, far) = (near?, far?);
         Some([near.min(far), near.max(far)])

@@ -139,15 +139,26 @@ impl RingRow {
 pub fn make(table: &RayTable, map: &PhaseMap) -> Cloud {
     simd::dispatch(
         #[inline(always)]
-        || make_rows(table, map),
+        || make_rows::<false>(table, map).0,
     )
 }
 
+/// How many points [`make`] makes of the map.
+pub fn count(table: &RayTable, map: &PhaseMap) -> usize {
+    simd::dispatch(
+        #[inline(always)]
+        || make_rows::<true>(table, map).1,
+    )
+}
+
+/// The cloud, or (`COUNT`) the number of its points alone.
 #[inline(always)]
-fn make_rows(table: &RayTable, map: &PhaseMap) -> Cloud {
-    let mut cloud = Cloud::default();
-    let (Some(first), Some(last)) = (map.runs.first(), map.runs.last()) else { return cloud };
-    reserve(&mut cloud, map.phase.len(), !map.sigma_code.is_empty());
+fn make_rows<const COUNT: bool>(table: &RayTable, map: &PhaseMap) -> (Cloud, usize) {
+    let (mut cloud, mut good) = (Cloud::default(), 0);
+    let (Some(first), Some(last)) = (map.runs.first(), map.runs.last()) else { return (cloud, good) };
+    if !COUNT {
+        reserve(&mut cloud, map.phase.len(), !map.sigma_code.is_empty());
+    }
     let left = map.runs.iter().map(|run| usize::from(run.first)).min().unwrap_or(0) / NODE_PX;
     let right = map.runs.iter().map(Run::end).max().unwrap_or(0).div_ceil(NODE_PX);
     let width = (right - left) * NODE_PX + 2 * PAD;
@@ -171,10 +182,13 @@ fn make_rows(table: &RayTable, map: &PhaseMap) -> Cloud {
             // Row v - 3 is where v + 4 will be.
             let row = |dv: usize| &ring[(v + RING + dv - REACH) % RING];
             let rows = [row(0), row(2), row(3), row(4), row(6)];
-            pixel_out += frame.emit(rows, runs, pixel_out, &mut normals, &mut cloud);
+            pixel_out += frame.emit::<COUNT>(rows, runs, pixel_out, &mut normals, &mut cloud);
+            if COUNT {
+                good += std::mem::take(&mut normals.counted);
+            }
         }
     }
-    cloud
+    (cloud, good)
 }
 
 fn reserve(cloud: &mut Cloud, points: usize, sigma: bool) {
@@ -241,9 +255,9 @@ impl Frame<'_> {
         pixel
     }
 
-    /// Appends the points of a row, whose pixels begin with `pixel`; returns how many pixels these are.
+    /// Appends the points of a row, or counts them; its pixels begin with `pixel`. Returns how many pixels these are.
     #[inline(always)]
-    fn emit(
+    fn emit<const COUNT: bool>(
         &self,
         rows: [&RingRow; 5],
         runs: &[Run],
@@ -270,8 +284,21 @@ impl Frame<'_> {
                 count,
                 table,
                 #[inline(always)]
-                |offset| expect(cloud, offset),
+                |offset| {
+                    if !COUNT {
+                        expect(cloud, offset);
+                    }
+                },
             );
+            if COUNT {
+                let mut sum = 0;
+                for &good in &own.good[..count] {
+                    sum += u32::from(good);
+                }
+                own.counted += sum as usize;
+                done += count;
+                continue;
+            }
             let positions = points[2].map(|axis| &axis[place..place + count]);
             let [x, y, z] = &own.normals;
             let normals = [&x[..count], &y[..count], &z[..count]];
@@ -301,12 +328,14 @@ impl Frame<'_> {
 struct RunNormals {
     normals: [Vec<f32>; 3],
     good: Vec<u8>,
+    /// Points that were counted and not appended.
+    counted: usize,
 }
 
 impl RunNormals {
     fn new(width: usize) -> Self {
         let zeros = || vec![0.0; width];
-        Self { normals: [zeros(), zeros(), zeros()], good: vec![0; width] }
+        Self { normals: [zeros(), zeros(), zeros()], good: vec![0; width], counted: 0 }
     }
 
     /// Computes the normals of `count` points from `place` on. `rows` are those around them that [`orient`] needs.

@@ -41,7 +41,7 @@ const NEAREST_M: f64 = 0.2;
 #[derive(Debug)]
 pub struct RayTable {
     nodes: Vec<Node>,
-    /// First and last fringe in the volume at each node.
+    /// First and last fringe that is sought at each node.
     inside: Vec<[f32; 2]>,
     columns: usize,
     /// The camera's centre and its forward axis in the world.
@@ -53,6 +53,9 @@ pub struct RayTable {
     pub(crate) focal_px: f32,
     /// From fringes to the panel's -1 .. 1.
     per_fringe: f32,
+    /// Where surfaces are sought, the lower corner first, m.
+    sought: [[f32; 3]; 2],
+    /// Where points are made of surfaces.
     volume: [[f32; 3]; 2],
 }
 
@@ -85,7 +88,7 @@ impl RayTable {
             sight.node(u, v).unwrap_or([f32::NAN; 3 + TERMS])
         };
         let half = pair.projector.width as f64 / 2.0;
-        let inside = |i: usize| fringes_in_volume(pair, i % columns * NODE_PX, i / columns * NODE_PX);
+        let inside = |i: usize| fringes_sought(pair, i % columns * NODE_PX, i / columns * NODE_PX);
         Self {
             nodes: (0..columns * rows).map(node).collect(),
             inside: (0..columns * rows).map(inside).collect(),
@@ -95,6 +98,7 @@ impl RayTable {
             projector: pair.projector.centre().cast::<f32>().coords.into(),
             focal_px: pair.camera.lens.fx as f32,
             per_fringe: (pair.pattern.period_px / half) as f32,
+            sought: pair.sought_m().map(|corner| corner.map(|x| x as f32)),
             volume: [pair.volume_min_m, pair.volume_max_m].map(|corner| corner.map(|x| x as f32)),
         }
     }
@@ -114,15 +118,15 @@ impl RayTable {
         Sightline { direction: [x, y, z], terms }
     }
 
-    /// The first and the last absolute phase, in fringes, at which the line of sight of pixel (u, v) is in the volume,
-    /// to half a fringe; the first is above the last where it misses it.
-    pub(crate) fn fringes_in_volume(&self, u: usize, v: usize) -> [f32; 2] {
+    /// The first and the last absolute phase, in fringes, at which the line of sight of pixel (u, v) is where surfaces
+    /// are sought, to half a fringe; the first is above the last where it misses that.
+    pub(crate) fn fringes_sought(&self, u: usize, v: usize) -> [f32; 2] {
         let (column, row) = ((u + NODE_PX / 2) / NODE_PX, (v + NODE_PX / 2) / NODE_PX);
         self.inside.get(row * self.columns + column).copied().unwrap_or(NOWHERE)
     }
 
     /// Inverse of the depth at which a line of sight has the absolute phases `first`, `first + 1`, ..., in fringes; no
-    /// number outside of the volume.
+    /// number where nothing is sought.
     #[inline(always)]
     pub(crate) fn inverse_depths<const N: usize>(&self, line: &Sightline, first: f32) -> [f32; N] {
         let mut inverse = [0f32; N];
@@ -136,7 +140,7 @@ impl RayTable {
             let mut inside = (s.abs() < 1.0) & (w > 0.0);
             for (axis, direction) in line.direction.iter().enumerate() {
                 let x = self.centre[axis] + depth * direction;
-                inside &= (self.volume[0][axis] <= x) & (x <= self.volume[1][axis]);
+                inside &= (self.sought[0][axis] <= x) & (x <= self.sought[1][axis]);
             }
             *inverse = if inside { w } else { f32::NAN };
         }
@@ -262,9 +266,10 @@ fn scale(c: &[Block; 3 + TERMS], (s, depth, per_rad): (&Block, &Block, f32), met
 /// The fringes of a line of sight that misses the volume: the first is above the last.
 const NOWHERE: [f32; 2] = [1.0, 0.0];
 
-/// The fringes between which the line of sight of a pixel is in the volume, and half a fringe more at either end.
-fn fringes_in_volume(pair: &CameraProjector, u: usize, v: usize) -> [f32; 2] {
-    let Some((ray, ends)) = pair.distances_in_volume(u, v) else { return NOWHERE };
+/// The fringes between which the line of sight of a pixel is where surfaces are sought, and half a fringe more at either
+/// end.
+fn fringes_sought(pair: &CameraProjector, u: usize, v: usize) -> [f32; 2] {
+    let Some((ray, ends)) = pair.distances_sought(u, v) else { return NOWHERE };
     let all = (pair.projector.width as f64 / pair.pattern.period_px) as f32;
     let [near, far] = ends.map(|distance| {
         let column = pair.projector.project(&ray.at(distance)).map(|[column, _]| column);
@@ -278,13 +283,13 @@ fn fringes_in_volume(pair: &CameraProjector, u: usize, v: usize) -> [f32; 2] {
 /// The geometry of a pair while it is tabulated.
 struct Sight<'a> {
     pair: &'a CameraProjector,
-    /// Inverse depths between which the volume lies.
+    /// Inverse depths between which surfaces are sought.
     inverse: [f64; 2],
 }
 
 impl<'a> Sight<'a> {
     fn new(pair: &'a CameraProjector) -> Self {
-        let (min, max) = (pair.volume_min_m, pair.volume_max_m);
+        let [min, max] = pair.sought_m();
         let mut depths = [f64::INFINITY, 0f64];
         for corner in 0..8 {
             let side = |i: usize| if corner >> i & 1 == 0 { min[i] } else { max[i] };
@@ -393,8 +398,8 @@ mod tests {
                     let found = nalgebra::Point3::new(x[u], y[u], z[u]).cast::<f64>();
                     // Rounding decides on points that lie on the volume's faces.
                     if found.x.is_nan() {
-                        let inner = exact + (nalgebra::Point3::new(0.0, 0.0, 1.0) - exact) * 1e-4;
-                        assert!(!pair.in_volume(&inner) || phase < 0.1, "{u} {v}: {exact} is missing");
+                        let outer = exact - (nalgebra::Point3::new(0.0, 0.0, 1.0) - exact) * 1e-4;
+                        assert!(!pair.in_volume(&outer) || phase < 0.1, "{u} {v}: {exact} is missing");
                         continue;
                     }
                     worst = worst.max((found - exact).norm());

@@ -90,6 +90,7 @@ fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Cam
         let triangulator = Triangulator::new(pair);
         let pipeline = Pipeline::new(triangulator, plan.method, plan.maps.is_some());
         let pipeline = pipeline.with_uncertainty(plan.uncertainty).with_workspace(Arc::clone(&workspace));
+        let pipeline = pipeline.counting(!plan.merges());
         let viewpoint = Viewpoint::new(head.id.as_str(), &camera.device, &head.projector);
         Ok((&head.id, Camera { id: camera.id.clone(), number, viewpoint, pipeline }))
     });
@@ -104,6 +105,10 @@ fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Cam
     }
     Ok(heads)
 }
+
+/// One frame set is under way for every so many threads, which share its cameras: each holds some 150 MiB, and with fewer
+/// threads each some of them would wait at its ends.
+const THREADS_PER_FRAME_SET: usize = 4;
 
 /// Runs the plan on the current rayon pool. `progress` gets the number of triggers done.
 pub fn run(
@@ -130,19 +135,28 @@ pub fn run(
     let done = AtomicUsize::new(0);
     let triggers: Vec<u64> = plan.shard_triggers().collect();
     let (began, cpu_began) = (Instant::now(), process_cpu_time());
-    let triggers: Result<Vec<TriggerSummary>, String> = triggers
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|trigger| {
-            let summary = job.trigger(trigger);
+    let next = AtomicUsize::new(0);
+    let lane = |_| {
+        let mut made = Vec::new();
+        while let Some(&trigger) = triggers.get(next.fetch_add(1, Ordering::Relaxed)) {
+            // Nobody begins another one after an error.
+            let summary = job.trigger(trigger).inspect_err(|_| next.store(triggers.len(), Ordering::Relaxed));
+            made.push((trigger, summary?));
             progress(done.fetch_add(1, Ordering::Relaxed) + 1);
-            summary
-        })
-        .collect();
+        }
+        Ok(made)
+    };
+    let lanes = rayon::current_num_threads().div_ceil(THREADS_PER_FRAME_SET);
+    let lanes: Result<Vec<Vec<_>>, String> = (0..lanes).into_par_iter().with_max_len(1).map(lane).collect();
+    let mut triggers: Vec<(u64, TriggerSummary)> = lanes?.into_iter().flatten().collect();
+    triggers.sort_unstable_by_key(|(trigger, _)| *trigger);
     let wall_ms = began.elapsed().as_secs_f64() * 1e3;
     let cpu_ms = process_cpu_time().saturating_sub(cpu_began).as_secs_f64() * 1e3;
     let time_base = source.time_base();
-    let summary = Summary { time_base, ..Summary::of(triggers?, &key, plan, calibration) };
+    let summary = Summary {
+        time_base,
+        ..Summary::of(triggers.into_iter().map(|x| x.1).collect(), &key, plan, calibration)
+    };
     let mut timings = job.timings.into_inner().unwrap_or_else(PoisonError::into_inner);
     (timings.wall_ms, timings.cpu_ms, timings.threads) = (wall_ms, cpu_ms, rayon::current_num_threads());
     Ok((summary, timings))

@@ -43,13 +43,25 @@ pub struct FrameSummary {
     /// moved.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub marker_offset_px: Option<f32>,
+    /// By how much the camera differs from the others in the mean, where they see one surface, rad; absent where too few
+    /// places tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub differs_rad: Option<f32>,
 }
 
 impl FrameSummary {
     /// A frame that is not there, or cannot be read.
     pub fn missing(camera: &CameraId, outcome: &'static str, reason: String) -> Self {
         let (camera, outcome, reason) = (camera.clone(), outcome.into(), Some(reason));
-        Self { camera, outcome, reason, points: 0, unresolved_px: 0, marker_offset_px: None }
+        Self {
+            camera,
+            outcome,
+            reason,
+            points: 0,
+            unresolved_px: 0,
+            marker_offset_px: None,
+            differs_rad: None,
+        }
     }
 }
 
@@ -163,12 +175,22 @@ impl Summary {
 
     /// The mean of `marker_offset_px` over each camera's clouds.
     pub fn marker_offsets_px(&self) -> BTreeMap<&CameraId, f32> {
+        self.means(|frame| frame.marker_offset_px)
+    }
+
+    /// The mean of `differs_rad` over each camera's clouds.
+    pub fn differ_rad(&self) -> BTreeMap<&CameraId, f32> {
+        self.means(|frame| frame.differs_rad)
+    }
+
+    /// The mean of what clouds have, by camera.
+    fn means(&self, of: impl Fn(&FrameSummary) -> Option<f32>) -> BTreeMap<&CameraId, f32> {
         let mut sums = BTreeMap::<_, (f32, f32)>::new();
         let frames = self.triggers.iter().flat_map(|trigger| &trigger.frames);
         for frame in frames.filter(|frame| frame.outcome == "cloud") {
-            if let Some(offset) = frame.marker_offset_px {
+            if let Some(value) = of(frame) {
                 let sum = sums.entry(&frame.camera).or_default();
-                (sum.0, sum.1) = (sum.0 + offset, sum.1 + 1.0);
+                (sum.0, sum.1) = (sum.0 + value, sum.1 + 1.0);
             }
         }
         sums.into_iter().map(|(camera, (sum, frames))| (camera, sum / frames)).collect()

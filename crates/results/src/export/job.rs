@@ -146,14 +146,19 @@ impl Job<'_> {
         if merged.is_empty() && single.iter().all(Vec::is_empty) {
             return Ok(());
         }
-        let clouds = match self.source.clouds(trigger, cameras) {
+        // A merged file is made of all clouds; where it is there, those are read whose own file is missing.
+        let missing = |place: usize| single.get(place).is_some_and(|outputs| !outputs.is_empty());
+        let needed = (0..cameras.len()).filter(|&place| !merged.is_empty() || missing(place));
+        let (needed, single): (Vec<usize>, Vec<&[Output]>) =
+            needed.map(|place| (cameras[place], single.get(place).map_or(&[][..], Vec::as_slice))).unzip();
+        let clouds = match self.source.clouds(trigger, &needed) {
             Ok(clouds) => clouds,
             Err(problem) => {
                 self.count(|summary| summary.problems.push(problem));
                 return Ok(());
             }
         };
-        let numbered = cameras.iter().map(|&camera| self.source.cameras()[camera].clone());
+        let numbered = needed.iter().map(|&camera| self.source.cameras()[camera].clone());
         let numbered: Vec<(u8, String)> = numbered.collect();
         for ((outputs, commented), camera) in single.iter().zip(&clouds).zip(numbered.chunks(1)) {
             if !outputs.is_empty() {

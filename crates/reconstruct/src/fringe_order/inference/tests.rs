@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Message passing against all labellings of small graphs.
 
-use super::{Costs, Graph, LABELS, NEVER, STEP, in_steps};
+use super::{Graph, NEVER, STEP, in_steps};
 use crate::fringe_order::links::Link;
 use proptest::prelude::{Strategy, prop_assert, proptest};
 
@@ -12,27 +12,26 @@ const FEW: usize = 4;
 type Small = (Vec<[i16; FEW]>, Vec<Link>);
 
 fn graph((costs, links): &Small) -> Graph {
-    let mut graph = Graph::new(costs.len(), links.clone());
-    for (unary, few) in graph.unary.iter_mut().zip(costs) {
-        let mut all: Costs = [NEVER; LABELS];
-        all[..FEW].copy_from_slice(few);
+    let mut graph = Graph::new(costs.len(), FEW, links.clone());
+    for (i, few) in costs.iter().enumerate() {
+        let unary = graph.unary_mut(i);
+        unary.fill(NEVER);
         // Least ones are 0.
         let least = few.iter().copied().min().unwrap_or(0);
-        all[..FEW].iter_mut().for_each(|cost| *cost -= least);
-        *unary = all;
+        unary.iter_mut().zip(few).for_each(|(cost, few)| *cost = few - least);
     }
     graph
 }
 
 fn energy(graph: &Graph, labels: &[usize]) -> i32 {
-    let own: i32 = labels.iter().zip(&graph.unary).map(|(&label, unary)| i32::from(unary[label])).sum();
+    let own: i32 = labels.iter().enumerate().map(|(i, &label)| i32::from(graph.unary(i)[label])).sum();
     let broken = |link: &&Link| labels[link.b as usize] as i32 - labels[link.a as usize] as i32 != link.turns;
     own + graph.links.iter().filter(broken).map(|link| i32::from(in_steps(link.weight))).sum::<i32>()
 }
 
 /// The least energy of all labellings, with this label of this patch where one is named.
 fn least(graph: &Graph, with: Option<(usize, usize)>) -> i32 {
-    let n = graph.unary.len();
+    let n = graph.label.len();
     let labels = |code: usize| (0..n).map(move |i| code / FEW.pow(i as u32) % FEW).collect::<Vec<_>>();
     let all = (0..FEW.pow(n as u32)).map(labels);
     let fits = |labels: &Vec<usize>| with.is_none_or(|(i, label)| labels[i] == label);
@@ -66,7 +65,7 @@ proptest! {
     #[test]
     fn a_chain_is_solved(small in chain()) {
         let mut graph = graph(&small);
-        graph.infer();
+        graph.infer(2);
         let best = least(&graph, None);
         let rounding = 2 * small.0.len() as i32;
         prop_assert!(found(&graph) <= best + rounding, "{} of {best}", found(&graph));
@@ -80,6 +79,24 @@ proptest! {
     }
 }
 
+/// Labels are not bounded by what fits into a few vectors, and links may lead as far as there are labels.
+#[test]
+fn two_hundred_labels_are_told_apart() {
+    for (labels, turns) in [(200, 150), (200, -190), (37, 36), (16, 15), (1, 0)] {
+        let link = Link { a: 0, b: 1, turns, weight: 4.0 };
+        let mut graph = Graph::new(2, labels, vec![link]);
+        let best = if turns < 0 { labels as i32 - 1 } else { 0 };
+        for (i, label) in [(0, best), (1, best + turns)] {
+            let unary = graph.unary_mut(i);
+            unary.fill(NEVER);
+            unary[..labels].fill(100);
+            unary[label as usize] = 0;
+        }
+        graph.infer(2);
+        assert_eq!(graph.label, [best, best + turns], "{labels} labels, {turns} turns");
+    }
+}
+
 /// With loops the best is found nearly always, and where a margin is wide, its label is the best one's.
 #[test]
 fn loops_cost_little() {
@@ -89,7 +106,7 @@ fn loops_cost_little() {
     for _ in 0..300 {
         let small = grid().new_tree(&mut runner).expect("a graph").current();
         let mut graph = graph(&small);
-        graph.infer();
+        graph.infer(2);
         let best = least(&graph, None);
         best_found += usize::from(found(&graph) <= best + 12);
         for i in (0..6).filter(|&i| graph.margin[i] >= 2.0) {

@@ -60,6 +60,7 @@ impl Job<'_> {
             points: header.points,
             unresolved_px: header.comment("unresolved_px").and_then(|x| x.parse().ok()).unwrap_or(0),
             marker_offset_px: header.comment("marker_offset_px").and_then(|x| x.parse().ok()),
+            differs_rad: header.comment("differs_rad").and_then(|x| x.parse().ok()),
         };
         Some((summary, Some(frames)))
     }

@@ -57,6 +57,8 @@ impl Job<'_> {
         comments.push(format!("unresolved_px {}", result.counts.refused));
         let marker_offset_px = result.counts.dashes.offset_px;
         comments.extend(marker_offset_px.map(|offset| format!("marker_offset_px {offset}")));
+        let differs_rad = Some(result.counts.differs_rad).filter(|by| *by > 0.0);
+        comments.extend(differs_rad.map(|by| format!("differs_rad {by}")));
         let (outcome, reason) = match &result.outcome {
             Outcome::Cloud => ("cloud", None),
             Outcome::Refused(reason) => ("refused", Some(reason.clone())),
@@ -76,9 +78,10 @@ impl Job<'_> {
             }
         }
         self.timings().add(&result.stages);
-        let (points, unresolved_px) = (result.cloud.len(), result.counts.refused);
+        let (points, unresolved_px) = (result.counts.points, result.counts.refused);
         let (camera, outcome) = (id.clone(), outcome.into());
-        let summary = FrameSummary { camera, outcome, reason, points, unresolved_px, marker_offset_px };
+        let summary =
+            FrameSummary { camera, outcome, reason, points, unresolved_px, marker_offset_px, differs_rad };
         let cloud = if self.plan.merges() { result.cloud } else { Cloud::default() };
         Ok((summary, cloud))
     }
@@ -103,7 +106,7 @@ impl Job<'_> {
             time_ns: self.time_ns(trigger),
             geometry_sha256,
             volume_m,
-            points: result.cloud.len(),
+            points: result.counts.points,
             comments,
             merged_comments,
         };
