@@ -40,7 +40,11 @@ CONSTANTS = {
     "SAMPLE": ("evidence.rs", r"const SAMPLE: u32 = "),
     "KEEP": ("evidence.rs", r"const KEEP: f32 = "),
     "SURE": ("evidence.rs", r"const SURE: f32 = "),
-    "SWEEPS": ("inference.rs", r"const SWEEPS: usize = "),
+    "SWEEPS": ("mod.rs", r"const SWEEPS: usize = "),
+    "STRONG": ("squares.rs", r"const STRONG: f32 = "),
+    "CONTRADICTION_RAD": ("same_head.rs", r"const CONTRADICTION_RAD: f32 = "),
+    "ENOUGH": ("witness.rs", r"const ENOUGH: f32 = "),
+    "BEYOND_GAP_RAD": ("witness.rs", r"const BEYOND_GAP_RAD: f32 = "),
     "CERTAIN": ("mod.rs", r"const CERTAIN: f32 = "),
     "MARGIN": ("mod.rs", r"const MARGIN: f32 = "),
 }

@@ -79,6 +79,38 @@ def poses(s):
     return table([head, "wrong %", "of lit %", "of usable %", "of whole fringes %", "robust mm", "p95 mm"], rows)
 
 
+def geometry(s):
+    """A row a rig."""
+    head = ["rig", "points", "wrong %", "of whole fringes %", "robust mm"]
+    rows = []
+    for name, row in s["rows"].items():
+        if row.get("robust_mm") is None:
+            rows.append([name, 0, "", "", "refused"])
+            continue
+        percent = [most(row["wrong_percent"], 3), least(row["complete_percent"], 2)]
+        rows.append([name, row["points"], *percent, most(row["robust_mm"], 3)])
+    return table(head, rows)
+
+
+def drift(s):
+    """A row a change; for each scene what it is called, and the robust error before and after the correction."""
+    def mm(score):
+        if score is None:
+            return "not written"
+        return "refused" if score["robust_mm"] is None else most(score["robust_mm"], 3)
+
+    scenes = s["scenes"]
+    head = ["calibration", *(f"{name}: called; robust mm before, after" for name in scenes)]
+    rows = []
+    for change in next(iter(scenes.values())):
+        found = [scene[change] for scene in scenes.values()]
+        rows.append([change, *(f"{x['called']}; {mm(x['before'])}, {mm(x['after'])}" for x in found)])
+    alarms = s["alarms"]
+    text = (f"\nOf {alarms['frame_sets']} frame sets with noise and the true calibration {alarms['with_a_move']} are "
+            f"explained by a move;\n`calibration check` ends with exit code 4 on {alarms['exit_4']}.\n")
+    return table(head, rows) + text
+
+
 def noise(s):
     """A column a pose, as it is and over the seeds of the noise."""
     names = [re.fullmatch(r"(.+)_wrong_order_share_plain", key) for key in s]
@@ -318,6 +350,8 @@ def measured_with(constant, commit):
 # By target, with the constant that decides its figures.
 WRITERS = {
     "poses": (poses, "ALGORITHM"),
+    "geometry": (geometry, "ALGORITHM"),
+    "drift": (drift, "ALGORITHM"),
     "light": (light, "ALGORITHM"),
     "noise": (noise, "ALGORITHM"),
     "real": (real, "ALGORITHM"),

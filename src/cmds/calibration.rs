@@ -10,7 +10,7 @@ use crate::batch::files::phase_path;
 use crate::batch::key::calibration_sha256;
 use crate::batch::run::{self, Plan};
 use crate::calibrate::drift::history::{Checked, History, Verdict};
-use crate::calibrate::drift::{self, Drift};
+use crate::calibrate::drift::{self, Drift, Kind, Move};
 use crate::data::{Calibration, FrameSource, PhaseMap};
 use crate::formats::phase_file;
 use crate::reconstruct::fringe_order::MostDifference;
@@ -28,12 +28,12 @@ enum What {
     Check(Check),
 }
 
-/// Measure how far each camera and projector has turned since the calibration, from a session of any body that fills
-/// the volume.
+/// Measure how each camera, projector and head has moved since the calibration, from a session of any body that fills the
+/// volume.
 ///
-/// Where two cameras see one place, their phases and the calibration must agree. The turns that explain where they do
-/// not agree are printed device by device, with their uncertainty and the displacement that they cause at the body. No
-/// point of the session has to be right for that: places whose fringe order is wrong fall out.
+/// Where two cameras see one place, their phases and the calibration must agree. Turns, shifts and focal lengths that
+/// explain best where they do not agree are printed device by device, with their uncertainty and the displacement that
+/// they cause at the body. No point of the session has to be right for that: places whose fringe order is wrong fall out.
 ///
 /// Exit codes: 4 a device has surely moved what it sees by more than --most-mm: calibrate again.
 #[derive(clap::Args)]
@@ -53,7 +53,8 @@ struct Check {
     #[arg(long, value_name = "MM", default_value_t = 0.2)]
     #[arg(value_parser = number_in(f64::MIN_POSITIVE..=f64::MAX, "millimetres above 0"))]
     most_mm: f64,
-    /// Write the calibration with these turns here; its origin states so. Not written where the turns do not settle.
+    /// Write the calibration with these moves here; its origin states so. It is only written if cameras agree better with
+    /// it at places that took no part in finding the moves, and no camera agrees less.
     #[arg(long, value_name = "FILE")]
     corrected: Option<PathBuf>,
     /// Number of threads [default: one per core].
@@ -67,10 +68,8 @@ struct Check {
     json: bool,
 }
 
-/// Cameras whose phases differ by less, rad, are near enough to the calibration for the turns to be trusted.
-const SETTLED_RAD: f64 = 0.1;
-/// Number of reconstructions at most, each with the turns that the one before has found.
-const ROUNDS: usize = 3;
+/// Number of reconstructions at most, each with the moves that the one before has found.
+const ROUNDS: usize = 5;
 
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     let What::Check(check) = &args.what;
@@ -88,7 +87,7 @@ struct Compared {
 
 /// Why there is no drift to report.
 enum Unmeasured {
-    /// Devices have turned by more than can be measured.
+    /// Devices have moved by more than can be measured.
     TooFar(String),
     /// The session does not show how devices stand.
     NotKnown(String),
@@ -138,9 +137,13 @@ impl Check {
             Unmeasured::Failed(failure) => failure,
         })?;
         if let Some(path) = &self.corrected {
-            let seen_in = self.session.file_name().unwrap_or(self.session.as_os_str()).to_string_lossy();
-            let corrected = drift.corrected(&compared.calibration, &seen_in);
-            corrected.save(path).map_err(Failure::failed)?;
+            if let Some(reason) = drift.no_better() {
+                eprintln!("warning: {} was not written: {reason}", path.display());
+            } else {
+                let seen_in = self.session.file_name().unwrap_or(self.session.as_os_str()).to_string_lossy();
+                let corrected = drift.corrected(&compared.calibration, &seen_in);
+                corrected.save(path).map_err(Failure::failed)?;
+            }
         }
         self.tell(&drift)
     }
@@ -176,29 +179,30 @@ impl Check {
 
     /// The drift, once the cameras agree with what was found.
     fn measure(&self, compared: &Compared) -> Result<Drift, Unmeasured> {
-        let (mut now, mut first_rad, mut rounds) = (compared.calibration.clone(), None, 0);
-        // With turns that are nearly right fewer fringe orders are wrong, and the next ones are better.
+        let (mut known, mut rounds) = (None, 0);
+        // With moves that are nearly right fewer fringe orders are wrong, and the next ones are better.
         loop {
-            let drift = self.look(compared, &now)?;
-            let [before, _] = drift.differ_rad;
-            now = drift.corrected(&now, "");
-            let first_rad = *first_rad.get_or_insert(before);
+            let drift = self.look(compared, known.as_ref())?;
             rounds += 1;
-            if before < SETTLED_RAD {
-                return Ok(drift.since(&compared.calibration, &now, first_rad));
+            if drift.is_settled() || rounds == ROUNDS && drift.is_near() {
+                return Ok(drift);
             }
             if rounds == ROUNDS {
                 return Err(Unmeasured::TooFar(format!(
-                    "expected turns with which cameras differ by less than {SETTLED_RAD} rad, found {before:.3} rad \
-                     after {ROUNDS} rounds ({first_rad:.3} by the calibration): devices have turned too far to be \
-                     measured; calibrate again"
+                    "expected moves of devices with which cameras agree, found that they differ by {:.3} rad after \
+                     {ROUNDS} rounds ({:.3} by the calibration): devices have moved too far to be measured; \
+                     calibrate again",
+                    drift.started_rad, drift.differ_rad[0]
                 )));
             }
+            known = Some(drift);
         }
     }
 
-    /// The drift from a calibration.
-    fn look(&self, compared: &Compared, calibration: &Calibration) -> Result<Drift, Unmeasured> {
+    /// The drift, from phases that are made with the calibration as it is corrected by what is known of the drift.
+    fn look(&self, compared: &Compared, known: Option<&Drift>) -> Result<Drift, Unmeasured> {
+        let corrected = known.map(|known| known.corrected(&compared.calibration, ""));
+        let calibration = corrected.as_ref().unwrap_or(&compared.calibration);
         let plan = self.plan(compared);
         let total = plan.shard_triggers().count();
         if total == 0 {
@@ -210,7 +214,7 @@ impl Check {
             run::run(source, calibration, &plan, |done| progress.at(done as u64, total as u64))
                 .map_err(|e| Unmeasured::Failed(Failure::failed(e)))?;
         let found = plan.shard_triggers().map(|trigger| maps(&plan, calibration, trigger));
-        let drift = drift::estimate(calibration, found).map_err(|e| {
+        let drift = drift::estimate(&compared.calibration, known, found).map_err(|e| {
             let refused = summary.most_refused_for().map(|reason| format!("; frames are refused: {reason}"));
             Unmeasured::NotKnown(format!("{e}{}", refused.unwrap_or_default()))
         });
@@ -236,21 +240,16 @@ impl Check {
             "stands": moved.is_empty(), "verdict": verdict, "said": said, "most_mm": self.most_mm, "drift": drift,
         });
         print(self.json, &value, || {
-            println!(
-                "{:<20} {:>10} {:>20}   about x, y, z (+-), degree",
-                "device", "degree", "mm at the body (+-)"
-            );
-            for turn in &drift.devices {
-                let each = turn.turn_deg.iter().zip(turn.sigma_deg);
-                let each: Vec<String> = each.map(|(x, s)| format!("{x:.4} ({s:.4})")).collect();
-                let at_body = format!("{:.3} ({:.3})", turn.at_body_mm, turn.at_body_sigma_mm);
-                println!("{:<20} {:>10.4} {at_body:>20}   {}", turn.device, turn.angle_deg, each.join(", "));
+            println!("{:<20} {:>20}   what has happened", "device", "mm at the body (+-)");
+            for device in &drift.devices {
+                let at_body = format!("{:.3} ({:.3})", device.at_body_mm, device.at_body_sigma_mm);
+                println!("{:<20} {at_body:>20}   {}", device.device, numbers(device));
             }
-            let [before, after] = drift.differ_rad;
+            let ([before, after], [held_before, held_after]) = (drift.differ_rad, drift.held_back.differ_rad);
             println!(
                 "{} places that two cameras see: they differ by {before:.3} rad by the calibration, by {after:.3} \
-                 rad with these turns",
-                drift.sightings
+                 rad with these moves; at {} of them, which took no part (RMS): {held_before:.3} and {held_after:.3} rad",
+                drift.sightings, drift.held_back.places
             );
             if moved.is_empty() {
                 println!("{said}");
@@ -268,6 +267,26 @@ impl Check {
         );
         Err(Failure::corrupt(message))
     }
+}
+
+/// What has happened to a device, with standard deviations.
+fn numbers(device: &Move) -> String {
+    let three = |values: [f64; 3], sigmas: [f64; 3], digits: usize| {
+        let each = values.iter().zip(sigmas).map(|(x, s)| format!("{x:.digits$} ({s:.digits$})"));
+        each.collect::<Vec<String>>().join(", ")
+    };
+    let turned = || format!("turned by {} degree", three(device.turn_deg, device.sigma_deg, 4));
+    let shifted = || format!("shifted by {} mm", three(device.shift_mm, device.shift_sigma_mm, 3));
+    let words = device.kinds.iter().map(|kind| match kind {
+        Kind::Turn => turned(),
+        Kind::Shift => shifted(),
+        Kind::FocalLength => {
+            format!("focal length {:+.4} ({:.4}) %", device.focal_percent, device.focal_sigma_percent)
+        }
+        Kind::Whole => format!("{}, {}", turned(), shifted()),
+    });
+    let words: Vec<String> = words.collect();
+    if words.is_empty() { "nothing".to_owned() } else { words.join(", ") }
 }
 
 /// The phase maps of a trigger that there are, by their camera's place in the calibration.

@@ -7,7 +7,7 @@
 //! Geometry: `placement` and `consistency` refuse what contradicts itself. `bundle` adjusts lenses and poses, `phases`
 //! reads the fringes at points of the board, `orders` finds the fringe orders, and `rows` finds the panel's rows, which
 //! fringes alone do not determine. `stages` and `global` are the paper's three stages on what `rigging` has, and
-//! `world` places the result above the floor. `run` does all of it; `drift` measures later how far devices have turned.
+//! `world` places the result above the floor. `run` does all of it; `drift` measures later how devices have moved.
 //!
 //! `docs/design/calibration.md` has the steps and the definitions.
 #![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]

@@ -30,9 +30,9 @@ const MOST_BYTES: u64 = 16 << 20;
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// No device has moved what it sees by more than half of the limit.
+    /// No device has moved what it sees by more than a quarter of the limit.
     Stands,
-    /// A device has moved what it sees by more than half of the limit, but not certainly by more than the limit.
+    /// A device has moved what it sees by more than a quarter of the limit, but not certainly by more than the limit.
     Turned,
     /// A device has certainly moved what it sees by more than the limit: calibrate again.
     CalibrateAgain,
@@ -76,7 +76,7 @@ impl Checked {
     /// Adds the turns that were measured, and their verdict.
     pub fn measured(mut self, drift: &Drift) -> Self {
         let rounded = |x: f64| (x * 1e4).round() / 1e4;
-        let turn = |turn: &super::Turn| DeviceTurn {
+        let turn = |turn: &super::Move| DeviceTurn {
             device: turn.device.clone(),
             turn_mdeg: turn.turn_deg.map(|degree| rounded(degree * 1e3)),
             at_body_mm: rounded(turn.at_body_mm),

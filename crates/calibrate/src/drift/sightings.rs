@@ -11,8 +11,8 @@ use std::f64::consts::TAU;
 pub(super) struct Sighting {
     /// The camera whose pixel it is, by its place in the calibration.
     pub camera: usize,
-    /// Line of sight of that pixel, camera axes.
-    pub sight: Vector3<f64>,
+    /// That pixel: column and row.
+    pub pixel: [f64; 2],
     /// Its distance from the camera by the calibration, m.
     pub distance_m: f64,
     /// Absolute phase of the camera at that pixel, rad.
@@ -24,7 +24,15 @@ pub(super) struct Sighting {
     /// Absolute phase of that camera there, rad, and how it changes along rows and columns, rad/px.
     pub other_phase: f64,
     pub other_slope: [f64; 2],
+    /// Whether the place takes no part in the fit, so that it can judge it.
+    pub held_back: bool,
 }
+
+/// Side of the squares of the image whose places are held back together, px: errors of neighbours are alike.
+const HELD_BACK_PX: usize = 96;
+
+/// One in so many squares is held back.
+const HELD_BACK_IN: usize = 4;
 
 /// Distance of the places that are compared, along rows and columns, px: neighbours have most of their error in common.
 const STEP_PX: usize = 24;
@@ -98,6 +106,12 @@ impl Paraboloid {
     }
 }
 
+/// The line of sight of a pixel, camera axes.
+pub(super) fn sight(camera: &Device, [u, v]: [f64; 2]) -> Option<Vector3<f64>> {
+    let [x, y] = camera.lens.undistort(u, v)?;
+    Some(Vector3::new(x, y, 1.0).normalize())
+}
+
 /// The point on a camera's line of sight that a column of its projector lights: its distance, m. `sight` in camera
 /// axes, from near `start_m` on.
 pub(super) fn distance(
@@ -129,8 +143,9 @@ pub(super) fn place(camera: &Device, sight: &Vector3<f64>, distance_m: f64) -> P
     camera.centre() + camera.world_from_device.isometry().rotation * sight * distance_m
 }
 
-/// All sightings of one instant. Maps come with their camera's place in the calibration.
-pub(super) fn of(calibration: &Calibration, maps: &[(usize, PhaseMap)]) -> Vec<Sighting> {
+/// All sightings of one instant, whose number decides which are held back. Maps come with their camera's place in the
+/// calibration.
+pub(super) fn of(calibration: &Calibration, instant: usize, maps: &[(usize, PhaseMap)]) -> Vec<Sighting> {
     let cameras: Vec<_> = calibration.cameras().collect();
     let phases: Vec<(usize, Phases)> = maps.iter().map(|(camera, map)| (*camera, Phases::new(map))).collect();
     let middle = (Vector3::from(calibration.volume_min_m) + Vector3::from(calibration.volume_max_m)) / 2.0;
@@ -140,15 +155,18 @@ pub(super) fn of(calibration: &Calibration, maps: &[(usize, PhaseMap)]) -> Vec<S
         let (head, device) = (cameras[camera].0, &cameras[camera].1.device);
         let start_m = (device.centre().coords - middle).norm();
         for (u, v) in grid(own.height).flat_map(|v| grid(own.width).map(move |u| (u, v))) {
+            let pixel = [u as f64, v as f64];
+            // Along every row and column of squares another one is held back, in other instants others.
+            let square = u / HELD_BACK_PX + 2 * (v / HELD_BACK_PX) + camera + instant;
+            let held_back = square.is_multiple_of(HELD_BACK_IN);
             let located = || {
                 let phase = own.around(u, v)?.phase;
-                let [x, y] = device.lens.undistort(u as f64, v as f64)?;
-                let sight = Vector3::new(x, y, 1.0).normalize();
+                let seen = sight(device, pixel)?;
                 let column = calibration.pattern.column(phase);
-                Some((phase, sight, distance(device, &head.projector, &sight, column, start_m)?))
+                Some((phase, seen, distance(device, &head.projector, &seen, column, start_m)?))
             };
-            let Some((phase, sight, distance_m)) = located() else { continue };
-            let point = place(device, &sight, distance_m);
+            let Some((phase, seen, distance_m)) = located() else { continue };
+            let point = place(device, &seen, distance_m);
             let seen_by = |&(other, ref theirs): &(usize, Phases)| {
                 let (head, device) = (cameras[other].0, &cameras[other].1.device);
                 let at = device.project(&point).filter(|at| device.contains(*at))?;
@@ -158,9 +176,17 @@ pub(super) fn of(calibration: &Calibration, maps: &[(usize, PhaseMap)]) -> Vec<S
                 let beside = [at[0] - nearest[0] as f64, at[1] - nearest[1] as f64];
                 let (other_phase, other_slope) = seen.beside(beside);
                 let same = (other_phase - calibration.pattern.phase(column)).abs() < SAME_SURFACE_RAD;
-                let sighting =
-                    Sighting { camera, sight, distance_m, phase, other, at, other_phase, other_slope };
-                same.then_some(sighting)
+                same.then_some(Sighting {
+                    camera,
+                    pixel,
+                    distance_m,
+                    phase,
+                    other,
+                    at,
+                    other_phase,
+                    other_slope,
+                    held_back,
+                })
             };
             found.extend(phases.iter().filter(|x| x.0 != camera).filter_map(seen_by));
         }

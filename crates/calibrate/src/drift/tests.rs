@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Turns that are known are found again, from the exact phases of a ball.
+//! Moves that are known are found again, from the exact phases of a ball.
 
 use super::history::Verdict;
-use super::{Drift, Turn, estimate, turned};
+use super::motion::{Motion, USUAL};
+use super::{Drift, Judged, Kind, Move, estimate};
 use crate::config::Rig;
 use crate::data::{Calibration, PhaseMap, Run, STEPS_PER_FRINGE};
 use crate::geometry::Device;
@@ -63,81 +64,113 @@ fn photographed(rig: &Calibration) -> Vec<(usize, PhaseMap)> {
     maps.enumerate().collect()
 }
 
-/// The rig with each of its devices turned: cameras first.
-fn with_turns(rig: &Calibration, turns: &[Vector3<f64>]) -> Calibration {
-    let devices = turns.iter().map(|turn| super::Turn {
-        device: String::new(),
-        turn_deg: turn.map(f64::to_degrees).into(),
-        sigma_deg: [0.0; 3],
-        angle_deg: 0.0,
-        at_body_mm: 0.0,
-        at_body_sigma_mm: 0.0,
-    });
-    Drift { devices: devices.collect(), sightings: 0, differ_rad: [0.0; 2] }.corrected(rig, "nothing")
+/// The rig with each of its devices moved: cameras first.
+fn with_motions(rig: &Calibration, motions: &[Motion]) -> Calibration {
+    drift(Vec::new(), motions.to_vec()).corrected(rig, "nothing")
+}
+
+fn drift(devices: Vec<Move>, motions: Vec<Motion>) -> Drift {
+    let held_back = Judged::default();
+    Drift {
+        devices,
+        sightings: 1000,
+        differ_rad: [0.01; 2],
+        held_back,
+        motions,
+        started_rad: 0.0,
+        changed: 0.0,
+    }
+}
+
+/// What was found, in a few lines.
+fn told(drift: &Drift) -> String {
+    let Drift { devices, differ_rad, sightings, held_back, .. } = drift;
+    let devices: Vec<String> = devices.iter().map(ToString::to_string).collect();
+    format!("{sightings} places, {differ_rad:.4?} rad, {held_back:?}\n{}", devices.join("\n"))
+}
+
+fn seen(rig: &Calibration) -> impl Iterator<Item = Vec<(usize, PhaseMap)>> {
+    std::iter::once(photographed(rig))
 }
 
 #[test]
-fn known_turns_are_found_where_they_matter() {
+fn turns_of_all_devices_are_found_where_they_matter() {
     let rig = rig();
     let count = rig.cameras().count() + rig.heads.len();
     for size_deg in [0.003, 0.02] {
         let turn = |i: usize| {
             let axis =
                 Vector3::new((i * 7 % 5) as f64 - 2.0, (i * 3 % 7) as f64 - 3.0, (i * 5 % 3) as f64 - 1.0);
-            axis.normalize() * f64::to_radians(size_deg)
+            Motion { turn: axis.normalize() * f64::to_radians(size_deg), ..Motion::default() }
         };
-        let turns: Vec<Vector3<f64>> = (0..count).map(turn).collect();
-        let seen = photographed(&with_turns(&rig, &turns));
-        let drift = estimate(&rig, std::iter::once(seen)).expect("enough places");
-        assert!(drift.differ_rad[1] <= 0.011 && drift.differ_rad[0] > 2.0 * drift.differ_rad[1], "{drift:?}");
-        // A turn that a ball does not determine (about the line to it, for instance) moves nothing there.
-        let found = drift.devices.iter().map(|device| Vector3::from(device.turn_deg.map(f64::to_radians)));
-        for ((found, turn), device) in found.zip(&turns).zip(&drift.devices) {
-            let off = (found - turn).norm().to_degrees();
-            let sigma = Vector3::from(device.sigma_deg).norm();
-            assert!(off < 0.003 || off < 3.0 * sigma, "{}: off by {off}, sigma {sigma}", device.device);
-        }
-        let seen = photographed(&with_turns(&rig, &turns));
-        let again = estimate(&drift.corrected(&rig, "ball"), std::iter::once(seen)).expect("enough places");
-        assert!(again.differ_rad[0] <= 0.011, "{again:?}");
+        let turned: Vec<Motion> = (0..count).map(turn).collect();
+        let true_rig = with_motions(&rig, &turned);
+        let drift = estimate(&rig, None, seen(&true_rig)).expect("enough places");
+        assert!(
+            drift.differ_rad[1] <= 0.011 && drift.differ_rad[0] > 2.0 * drift.differ_rad[1],
+            "{}",
+            told(&drift)
+        );
+        assert!(drift.no_better().is_none(), "{}", told(&drift));
+        let again = estimate(&drift.corrected(&rig, "ball"), None, seen(&true_rig)).expect("enough places");
+        assert!(again.differ_rad[0] <= 0.011, "{}", told(&again));
     }
+}
+
+/// What one change is called.
+#[track_caller]
+fn assert_named(motions: &[(usize, Motion)], device: &str, kind: Kind) {
+    let rig = rig();
+    let mut all = vec![Motion::default(); rig.cameras().count() + rig.heads.len()];
+    motions.iter().for_each(|&(i, motion)| all[i] = motion);
+    let drift = estimate(&rig, None, seen(&with_motions(&rig, &all))).expect("enough places");
+    let named: Vec<&Move> = drift.devices.iter().filter(|x| !x.kinds.is_empty()).collect();
+    assert!(drift.devices.iter().any(|x| x.device == device && x.kinds == [kind]), "{}", told(&drift));
+    assert_eq!(named.len(), 1, "{}", told(&drift));
+    assert!(drift.no_better().is_none(), "{}", told(&drift));
+}
+
+#[test]
+fn what_one_device_did_is_called_so() {
+    let turn = Motion { turn: Vector3::new(0.6, 0.8, 0.0) * USUAL[0] * 2.0, ..Motion::default() };
+    let focal = Motion { focal: 5e-4, ..Motion::default() };
+    assert_named(&[(2, turn)], "camera h1_up", Kind::Turn);
+    assert_named(&[(8, turn)], "projector h0", Kind::Turn);
+    assert_named(&[(5, focal)], "camera h2_low", Kind::FocalLength);
 }
 
 #[test]
 fn a_rig_that_stands_is_said_to_stand() {
     let rig = rig();
-    let drift = estimate(&rig, std::iter::once(photographed(&rig))).expect("enough places");
-    for device in &drift.devices {
-        for (turn, sigma) in device.turn_deg.iter().zip(device.sigma_deg) {
-            assert!(turn.abs() < 0.001 + sigma, "{device:?}");
-        }
-    }
+    let drift = estimate(&rig, None, seen(&rig)).expect("enough places");
+    assert!(drift.devices.iter().all(|device| device.kinds.is_empty()), "{}", told(&drift));
+    assert!(drift.no_better().is_some_and(|reason| reason.contains("no move")));
     let origin = drift.corrected(&rig, "walk-01").origin;
     assert!(origin.starts_with(&rig.origin) && origin.ends_with("walk-01"), "{origin}");
-    assert!(turned(&rig.heads[0].projector, &Vector3::zeros()) == rig.heads[0].projector);
+    assert!(Motion::default().apply(&rig.heads[0].projector) == rig.heads[0].projector);
     assert!(
-        estimate(&rig, std::iter::empty()).is_err_and(|e| e.contains("500")),
+        estimate(&rig, None, std::iter::empty()).is_err_and(|e| e.contains("500")),
         "nothing is not a rig that stands"
     );
 }
 
 #[test]
 fn a_verdict_is_said_only_of_what_is_known_of_every_device() {
-    let drift = |moved: &[(f64, f64)]| Drift {
-        devices: moved
-            .iter()
-            .enumerate()
-            .map(|(i, &(at_body_mm, at_body_sigma_mm))| Turn {
-                device: format!("camera c{i}"),
-                turn_deg: [0.0; 3],
-                sigma_deg: [0.0; 3],
-                angle_deg: 0.0,
-                at_body_mm,
-                at_body_sigma_mm,
-            })
-            .collect(),
-        sightings: 1000,
-        differ_rad: [0.01; 2],
+    let of = |moved: &[(f64, f64)]| {
+        let device = |(i, &(at_body_mm, at_body_sigma_mm)): (usize, &(f64, f64))| Move {
+            device: format!("camera c{i}"),
+            kinds: vec![Kind::Turn],
+            turn_deg: [0.0; 3],
+            sigma_deg: [0.0; 3],
+            angle_deg: 0.0,
+            shift_mm: [0.0; 3],
+            shift_sigma_mm: [0.0; 3],
+            focal_percent: 0.0,
+            focal_sigma_percent: 0.0,
+            at_body_mm,
+            at_body_sigma_mm,
+        };
+        drift(moved.iter().enumerate().map(device).collect(), Vec::new())
     };
     for (moved, verdict, said) in [
         (&[(0.03, 0.02), (0.02, 0.02)][..], Verdict::Stands, "camera c0"),
@@ -153,7 +186,7 @@ fn a_verdict_is_said_only_of_what_is_known_of_every_device() {
         (&[(0.03, 0.02), (0.0, 0.35)], Verdict::NotKnown, "of camera c1"),
         (&[(0.31, 0.02), (0.0, 0.35)], Verdict::CalibrateAgain, "camera c0"),
     ] {
-        let (found, words) = drift(moved).verdict(0.2);
+        let (found, words) = of(moved).verdict(0.2);
         assert_eq!(found, verdict, "{words}");
         assert!(words.contains(said), "{words}");
     }
