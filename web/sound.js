@@ -33,7 +33,10 @@ export function play(name) {
   }
 }
 
-/** Plays what has happened since this was called last. `capture` is the node's, `lost` how many frames are lost now. */
+/**
+ * Plays what has happened since this was called last. `capture` is the node's, `lost` how many frames are lost now.
+ * A second of the countdown has no tick where no answer of the node came within it: a late one would deceive the subject.
+ */
 export function listen(capture, lost, preview) {
   const left = capture?.running && capture.stage?.stage === "counting_down" ? capture.stage.left_s : null;
   const running = Boolean(capture?.running && capture.stage?.stage === "recording" && capture.stage.triggers);

@@ -51,12 +51,18 @@ function underWay(capture, more) {
   return { kind, word, clock: clock(at.triggers, at.asked), detail: detail(count(at.frames, "frame")), share: share(at.triggers, at.asked) };
 }
 
-/** Frames lost so far by cameras of all nodes, each as {id, lost, silent}; null while no train runs. */
+/** Frames lost so far by cameras of all nodes, each as {id, lost, remark}; null while no train runs. */
 export function losses() {
   const running = nodes().filter(({ last }) => last?.session && !last.session.outcome && last.session.triggers);
   if (!running.length) return null;
   return running.flatMap(({ last, status }) =>
-    last.session.cameras.map((camera) => ({ id: camera.id, lost: lossOf(last, camera.id), silent: camera.silent || !status })));
+    last.session.cameras.map((camera) => ({ id: camera.id, lost: lossOf(last, camera.id), remark: remarkOf(camera, status) })));
+}
+
+/** Of a camera whose frames stay away. A node that does not answer says nothing about its cameras. */
+function remarkOf(camera, status) {
+  if (!status) return " (no news from its node)";
+  return camera.silent ? " sends nothing" : "";
 }
 
 /** What has become of the frames: while a train runs so far, later the verdict. */
@@ -68,8 +74,8 @@ export function verdict() {
   }
   const dry = sessionsUnderWay().some((session) => session.dry_run);
   const sum = lost.reduce((total, camera) => total + camera.lost, 0);
-  const lines = lost.filter((camera) => camera.lost || camera.silent)
-    .map(({ id, lost: frames, silent }) => `camera ${id}${silent ? " sends nothing" : ""}: ${count(frames, "frame")} lost`);
+  const lines = lost.filter((camera) => camera.lost || camera.remark)
+    .map(({ id, lost: frames, remark }) => `camera ${id}${remark}: ${count(frames, "frame")} lost`);
   if (dry) lines.push("nothing is recorded");
   const before = soFar().detail;
   if (before) lines.push(before);

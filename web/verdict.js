@@ -16,6 +16,7 @@ const gapsOf = (camera) => Object.entries(camera.gaps).map(([cause, number]) => 
 export function causesOf(verdict) {
   const lines = verdict.cameras.filter((camera) => Object.keys(camera.gaps).length).map((camera) => `${camera.camera}: ${gapsOf(camera)}`);
   lines.push(...(verdict.advice ?? []));
+  if (verdict.untimed) lines.push(`when they were fired is lost: ${count(verdict.untimed, "trigger")}`);
   if (verdict.unconfirmed) lines.push(`the timing of some frames is not proven: ${count(verdict.unconfirmed, "camera")}`);
   lines.push(...(verdict.changed ?? []).map((changed) => `changed: ${changed}`));
   lines.push(...(verdict.not_simultaneous ?? []).map((apart) => `not simultaneous with the others: ${apart}`));

@@ -29,7 +29,8 @@ pub fn run<R>(
     mut look: impl FnMut(Duration) -> Option<R>,
 ) -> io::Result<Ended<R>> {
     let output = regular::create(log)?;
-    let mut child = idle_process::command(args)?.stdout(output.try_clone()?).stderr(output).spawn()?;
+    let started = idle_process::command(args)?.stdout(output.try_clone()?).stderr(output).spawn();
+    let mut child = started.map_err(idle_process::not_started)?;
     let began = Instant::now();
     loop {
         match child.try_wait() {

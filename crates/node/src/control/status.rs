@@ -81,9 +81,9 @@ pub struct WorkerStatus {
 pub enum CalibrationLight {
     /// The devices stand as they were calibrated.
     Green,
-    /// One has turned, but not surely by more than it may.
+    /// One has moved, but not surely by more than it may.
     Amber,
-    /// One has turned by more than it may: calibrate again.
+    /// One has moved by more than it may: calibrate again.
     Red,
     /// The calibration was not checked.
     Grey,

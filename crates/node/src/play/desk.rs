@@ -221,7 +221,7 @@ impl Work {
                 let command = command.args(["--rate-hz", &rate.to_string(), "--"]).arg(&done.result);
                 command.envs(ALLOCATOR).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()
             })
-            .map_err(|e| failed(format!("`setpriv` (package util-linux): {e}")))?;
+            .map_err(|e| failed(idle_process::not_started(e)))?;
         let pipes = child.stdin.take().zip(child.stdout.take());
         let ending = Ending(child);
         let (asked, mut description) = pipes.ok_or_else(|| failed("the process has no pipes"))?;

@@ -264,9 +264,7 @@ impl Inner {
                 let text = task::last_output(&log);
                 Err(failed(format!("no body could be made: the reconstruction ended {code}: {text}")))
             }
-            Err(error) => {
-                Err(failed(format!("no body could be made: `setpriv` (package util-linux): {error}")))
-            }
+            Err(error) => Err(failed(format!("no body could be made: {error}"))),
         }
     }
 }

@@ -340,6 +340,7 @@ mod tests {
             triggers_expected: Some(24),
             triggers_emitted: Some(24),
             cameras: Vec::new(),
+            untimed: 0,
             refused: 0,
             unconfirmed: 0,
             changed: Vec::new(),
