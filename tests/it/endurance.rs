@@ -7,7 +7,7 @@ use fourdbody::data::FrameSource;
 use fourdbody::record::SessionReader;
 use fourdbody_simulator::gige::TestImages;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 fn asked(variable: &str, otherwise: u64) -> u64 {
     std::env::var(variable).ok().and_then(|n| n.parse().ok()).unwrap_or(otherwise)
@@ -24,17 +24,20 @@ fn usage(pid: u32) -> [u64; 3] {
     [field("VmRSS:"), field("Threads:"), descriptors]
 }
 
-/// The least of each that is seen within a second: a connection whose other end has gone is closed a moment later, and what
-/// is left behind is there whenever one looks.
-fn least_usage(pid: u32) -> [u64; 3] {
-    let mut least = usage(pid);
-    for _ in 0..20 {
+/// Usage at rest: threads and descriptors that have not changed for a second. A connection whose other end has gone is closed
+/// a moment later.
+fn usage_at_rest(pid: u32) -> [u64; 3] {
+    let deadline = Instant::now() + Duration::from_secs(60);
+    let mut last = usage(pid);
+    let mut unchanged = 0;
+    while unchanged < 20 {
+        assert!(Instant::now() < deadline, "threads and descriptors still change: {last:?}");
         std::thread::sleep(Duration::from_millis(50));
-        for (least, now) in least.iter_mut().zip(usage(pid)) {
-            *least = now.min(*least);
-        }
+        let now = usage(pid);
+        unchanged = if now[1..] == last[1..] { unchanged + 1 } else { 0 };
+        last = now;
     }
-    least
+    last
 }
 
 /// What the sessions after the first quarter may leave in a process, however many they are, KiB. Measured: 70 to 140 in
@@ -73,7 +76,7 @@ fn sessions_in_a_row_leave_nothing_behind() {
         nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
         std::fs::remove_dir_all(dir.path().join("sessions").join(&name)).expect("recorded");
         if cycle + 1 == cycles / 4 || cycle + 1 == cycles {
-            seen.push(nodes.iter().map(|node| least_usage(node.pid())).collect::<Vec<_>>());
+            seen.push(nodes.iter().map(|node| usage_at_rest(node.pid())).collect::<Vec<_>>());
         }
     }
     println!("{cycles} cycles: KiB, threads and descriptors of each node after a quarter {:?}", seen[0]);
@@ -100,6 +103,7 @@ fn block_ids_wrap_within_a_session() {
     let session = dir.path().join("sessions/long");
     let verified = fourdbody(&["verify", &session.display().to_string()]);
     assert_eq!(verified.status.code(), output.status.code(), "{}", text_of(&verified));
+    println!("{}", text_of(&output));
     let (frames, wrapped) = right_frames(&session, triggers);
     println!("{triggers} triggers: {frames} frames of {}, {wrapped} cameras whose ids wrapped", 8 * triggers);
     assert_eq!(wrapped, 8, "{}", text_of(&verified));

@@ -224,6 +224,9 @@ fn small_records_read_back_and_every_segment_stands_alone() {
     for index in 0..60 {
         let (meta, message) = frame("h0_up", 0, index);
         recording.frame(0, &meta, &message).expect("recorded");
+        let (index, hsu_time_ns) = (TriggerIndex(index), 8_333_333 * index);
+        let row = TriggerRecord { index, hsu_time_ns, flags: 0, host_time_ns: START_NS + hsu_time_ns };
+        recording.trigger(&row).expect("recorded");
     }
     let verdict = recording.finish(end(60)).expect("finished");
     assert_eq!(verdict.status, Status::Complete);

@@ -181,13 +181,17 @@ fn nodes_that_name_different_inputs_are_told_and_the_session_has_one_of_them() {
     // Whoever came first was heard.
     let heard = reader.recordings()[0].events.iter().any(|event| HeardTimeCode::of(event).is_some());
     let codes = exported(&session, &dir.path().join("table"));
+    // A busy node hears of the first code when triggers have fired: these have none.
+    let mut known = 0;
     for (trigger, code) in &codes {
-        if !heard {
+        if !heard || code.is_empty() && known == 0 {
             assert_eq!(code, "");
             continue;
         }
+        known += 1;
         let time_ns = reader.recordings()[0].triggers[&TriggerIndex(*trigger)].hsu_time_ns;
         let truth = laboratory.hsu.time_code_at(time_ns).expect("it was played all the time");
         assert!(frames_off(code, truth, 30).abs() < 0.002, "trigger {trigger}: {code}, {truth:?} was played");
     }
+    assert!(!heard || known >= codes.len() / 2, "{known} of {} triggers have a code", codes.len());
 }
