@@ -91,8 +91,8 @@ fn print(status: &NodeStatus) {
             session.triggers
         );
         session.notices.iter().for_each(|notice| println!("    {}", one_line(notice)));
-        let doubts = session.outcome.as_ref().map(Outcome::doubts).unwrap_or_default();
-        doubts.iter().for_each(|doubt| println!("    {}", one_line(doubt)));
+        let remarks = session.outcome.as_ref().map(Outcome::remarks).unwrap_or_default();
+        remarks.iter().for_each(|remark| println!("    {}", one_line(remark)));
     }
     if let Some(worker) = &status.worker {
         println!("  worker: {}", one_line(&worker.line));

@@ -24,11 +24,8 @@ fn rig(rate_hz: f64) -> String {
     parts[..3].join("\n[[head]]\n")
 }
 
-fn bench(dir: &Path, subnet: u8, trigger: &str) -> LaboratoryOptions {
-    LaboratoryOptions {
-        trigger: Some(format!("source = \"action\"\n{trigger}")),
-        ..options(rig(20.0), dir, subnet)
-    }
+fn bench(dir: &Path, trigger: &str) -> LaboratoryOptions {
+    LaboratoryOptions { trigger: Some(format!("source = \"action\"\n{trigger}")), ..options(rig(20.0), dir) }
 }
 
 fn capture(laboratory: &Laboratory, nodes: &mut [NodeProcess], name: &str, triggers: u64) -> Output {
@@ -64,7 +61,7 @@ fn what_becomes_of_a_command_shows_at_exactly_its_trigger() {
         // It leaves 10 ms early, and acts 5 ms after its time.
         ("h1_low".to_owned(), fate(&[11], ActionFate::Late(Duration::from_millis(15)))),
     ];
-    let options = LaboratoryOptions { action_fates: action_fates.into(), ..bench(dir.path(), 38, "") };
+    let options = LaboratoryOptions { action_fates: action_fates.into(), ..bench(dir.path(), "") };
     let laboratory = start_laboratory(&options);
     let checked = fourdbody(&["check-config", &laboratory.nodes[0].path.display().to_string()]);
     assert_eq!(checked.status.code(), Some(0), "{}", text_of(&checked));
@@ -113,7 +110,7 @@ fn exposures_that_were_not_at_one_time_are_named_with_camera_and_triggers() {
     let options = LaboratoryOptions {
         action_fates: [("h1_low".to_owned(), late)].into(),
         habits: [("h0_low".to_owned(), away)].into(),
-        ..bench(dir.path(), 85, "")
+        ..bench(dir.path(), "")
     };
     let laboratory = start_laboratory(&options);
     let mut nodes = start_nodes(&laboratory);
@@ -185,7 +182,7 @@ fn exposures_that_were_not_at_one_time_are_named_with_camera_and_triggers() {
 #[test]
 fn at_once_a_session_is_complete_and_keys_that_differ_are_refused_by_name() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = start_laboratory(&bench(dir.path(), 39, "ptp = false\ngroup_key = 7\ngroup_mask = 2"));
+    let laboratory = start_laboratory(&bench(dir.path(), "ptp = false\ngroup_key = 7\ngroup_mask = 2"));
     let mut nodes = start_nodes(&laboratory);
     let captured = capture(&laboratory, &mut nodes, "at-once", 30);
     let session = dir.path().join("sessions/at-once");
@@ -215,7 +212,7 @@ fn at_once_a_session_is_complete_and_keys_that_differ_are_refused_by_name() {
 #[test]
 fn the_camera_whose_clock_is_read_is_lost_and_the_others_go_on() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let mut laboratory = start_laboratory(&bench(dir.path(), 86, ""));
+    let mut laboratory = start_laboratory(&bench(dir.path(), ""));
     let mut nodes = start_nodes(&laboratory);
     let child = start_capture(&laboratory, "away");
     let triggers = |node: &mut NodeProcess, at_least: u64| {
@@ -254,7 +251,7 @@ fn a_camera_tells_of_ptp_and_its_clock_is_that_of_the_others() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let listens = Habits { ptp_listens: true, ..Habits::default() };
     let options =
-        LaboratoryOptions { habits: [("h1_low".to_owned(), listens)].into(), ..bench(dir.path(), 47, "") };
+        LaboratoryOptions { habits: [("h1_low".to_owned(), listens)].into(), ..bench(dir.path(), "") };
     let laboratory = start_laboratory(&options);
     let config = NodeConfig::load(&laboratory.nodes[0].path).expect("a node file");
     let mut told = Vec::new();

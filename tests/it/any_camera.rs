@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sessions with cameras that are like those of other makes: descriptions and firmware from tables of real ones.
 
-use crate::lab::{fourdbody, options, small_rig, start_laboratory, start_nodes, text_of};
+use crate::lab::{capture_whole, options, small_rig, start_laboratory, start_nodes, text_of};
 use crate::session_faults::check_frames;
 use fourdbody_simulator::gige::Make;
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
@@ -25,8 +25,7 @@ fn table(name: &str) -> Option<PathBuf> {
 const CAMERAS: [&str; 8] = ["h0_up", "h0_low", "h1_up", "h1_low", "h2_up", "h2_low", "h3_up", "h3_low"];
 
 fn capture(laboratory: &Laboratory, triggers: u64, name: &str) -> Output {
-    let triggers = triggers.to_string();
-    fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", &triggers, "--name", name])
+    capture_whole(laboratory, name, triggers, &[])
 }
 
 /// Eight makes in one session, each set as its own list says.
@@ -47,7 +46,7 @@ fn cameras_of_eight_makes_record_a_session() {
     let like = |file: &PathBuf| Arc::new(Make::load(file).expect("a table"));
     let options = LaboratoryOptions {
         makes: CAMERAS.iter().zip(&files).map(|(camera, file)| ((*camera).to_owned(), like(file))).collect(),
-        ..options(small_rig(20.0), dir.path(), 210)
+        ..options(small_rig(20.0), dir.path())
     };
     let laboratory = start_laboratory(&options);
     let mut nodes = start_nodes(&laboratory);

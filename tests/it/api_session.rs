@@ -25,7 +25,7 @@ fn audit(dir: &Path, node: &str) -> Vec<AuditLine> {
 #[test]
 fn everybody_shows_who_they_are_and_the_logs_say_who_did_what() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 161, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     for (name, role) in [("otto", "operate"), ("node", "peer")] {
         new_token(dir.path(), name, role, false);
     }
@@ -117,7 +117,7 @@ fn a_hostile_client_costs_the_recording_nothing() {
     const TRIGGERS: u64 = 120;
     let dir = tempfile::tempdir().expect("a temporary directory");
     // From one address everybody is one client: the nodes do not watch each other, the operator uses the sockets.
-    let options = options(small_rig(30.0), dir.path(), 162);
+    let options = options(small_rig(30.0), dir.path());
     let laboratory = start_laboratory(&LaboratoryOptions { peers: false, ..options });
     let mut urls = Vec::new();
     for file in &laboratory.nodes {
@@ -163,7 +163,7 @@ fn a_hostile_client_costs_the_recording_nothing() {
 #[test]
 fn a_capture_shows_each_node_its_own_token() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 181, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let (_nodes, tokens) = start_with_own_tokens(&laboratory, dir.path());
     let urls = laboratory.urls();
     let capture = |files: &str| {

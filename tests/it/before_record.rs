@@ -102,7 +102,7 @@ fn copied(from: &RecordingReader, dir: &Path, late: u64) {
 #[test]
 fn the_recording_begins_before_record_and_is_verified_as_any() {
     let dir = tempfile::tempdir().expect("a directory");
-    let laboratory = lab::laboratory(dir.path(), 226, RATE_HZ);
+    let laboratory = lab::laboratory(dir.path(), RATE_HZ);
     let mut nodes = lab::start_nodes(&laboratory);
     let mut capture = holding(&laboratory, "jump", &mut nodes, "30");
     for node in &mut nodes {
@@ -145,7 +145,7 @@ fn the_recording_begins_before_record_and_is_verified_as_any() {
 #[test]
 fn seconds_after_stop_are_recorded() {
     let dir = tempfile::tempdir().expect("a directory");
-    let laboratory = lab::laboratory(dir.path(), 225, RATE_HZ);
+    let laboratory = lab::laboratory(dir.path(), RATE_HZ);
     let mut nodes = lab::start_nodes(&laboratory);
     let capture = Command::new(lab::FOURDBODY)
         .args(["capture", "--nodes", &laboratory.urls(), "--name", "tail", "--triggers", "0"])
@@ -168,7 +168,7 @@ fn seconds_after_stop_are_recorded() {
 #[test]
 fn a_node_that_is_killed_behind_record_leaves_what_it_wrote() {
     let dir = tempfile::tempdir().expect("a directory");
-    let laboratory = lab::laboratory(dir.path(), 227, RATE_HZ);
+    let laboratory = lab::laboratory(dir.path(), RATE_HZ);
     let mut nodes = lab::start_nodes(&laboratory);
     let mut capture = holding(&laboratory, "walk", &mut nodes, "0");
     press(&mut capture);
@@ -192,7 +192,7 @@ fn a_node_that_is_killed_behind_record_leaves_what_it_wrote() {
 #[test]
 fn before_record_a_stop_or_a_killed_node_leaves_nothing_that_looks_like_a_session() {
     let dir = tempfile::tempdir().expect("a directory");
-    let laboratory = lab::laboratory(dir.path(), 228, RATE_HZ);
+    let laboratory = lab::laboratory(dir.path(), RATE_HZ);
     let mut nodes = lab::start_nodes(&laboratory);
     let capture = holding(&laboratory, "never", &mut nodes, "30");
     // Whoever forges Record: another session, triggers that are not held, an order that cannot be.

@@ -63,7 +63,7 @@ fn ended(rig: &Rig, name: &str) -> (Value, Option<u64>) {
 #[test]
 fn a_device_that_fails_before_the_first_trigger_ends_the_session_at_once() {
     const COUNTDOWN_S: u64 = 50;
-    let mut rig = Rig::new(215);
+    let mut rig = Rig::new();
     for stage in [Stage::Preparing, Stage::CountingDown] {
         for device in [Device::Camera(0), Device::Camera(4), Device::Link, Device::Hsu] {
             let name = format!("{stage:?}-{device:?}").to_lowercase().replace(['(', ')'], "");

@@ -32,7 +32,7 @@ fn verify(dir: &Path, name: &str) -> Output {
 #[test]
 fn ctrl_c_ends_a_session_that_runs_until_stopped() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 110, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let capture = running_capture(&laboratory, &mut nodes, "stopped");
     signal("-INT", capture.id());
@@ -46,7 +46,7 @@ fn ctrl_c_ends_a_session_that_runs_until_stopped() {
 #[test]
 fn a_node_that_is_killed_loses_at_most_its_last_chunks_and_the_other_ends_accounted() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 111, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let capture = running_capture(&laboratory, &mut nodes, "killed");
     signal("-KILL", nodes[0].pid());
@@ -73,7 +73,7 @@ fn a_node_that_is_killed_loses_at_most_its_last_chunks_and_the_other_ends_accoun
 #[test]
 fn a_node_that_is_told_to_shut_down_answers_until_its_verdict_was_read() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 150, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let capture = running_capture(&laboratory, &mut nodes, "terminated");
     signal("-TERM", nodes[0].pid());
@@ -91,7 +91,7 @@ fn a_node_that_is_told_to_shut_down_answers_until_its_verdict_was_read() {
 #[test]
 fn what_the_system_refuses_is_told_by_status_and_recording() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 151, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     for node in &laboratory.nodes {
         let text = std::fs::read_to_string(&node.path).expect("the node file");
         // No kernel that this runs on has so many cores.

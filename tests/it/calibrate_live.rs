@@ -4,7 +4,7 @@
 
 use crate::api_node::start_with_own_tokens;
 use crate::board_photographs::{errors, good, scene};
-use crate::lab::FOURDBODY;
+use crate::lab::{FOURDBODY, host, own_network};
 use fourdbody::base::image::Plane;
 use fourdbody::config::SocketMode;
 use fourdbody::data::Calibration;
@@ -12,7 +12,6 @@ use fourdbody_simulator::images::ImageSource;
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
 use fourdbody_simulator::rig_file::to_toml;
 use std::io::Write;
-use std::net::Ipv4Addr;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 
@@ -36,7 +35,7 @@ fn an_operator_is_led_to_a_calibration() {
     let mut rig = scene().rig().clone();
     rig.trigger_rate_hz = 10.0;
     let mut options = LaboratoryOptions::new(to_toml(&rig), dir.path());
-    options.first_address = Ipv4Addr::new(127, 0, 233, 11);
+    options.first_address = host(own_network(), 11);
     options.first_port = 0;
     options.reserve_mib = 1;
     options.socket = SocketMode::Standard;

@@ -28,7 +28,7 @@ fn capture(node: &mut NodeProcess, name: &str) -> String {
 fn a_session_has_a_light_with_words() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let results = dir.path().join("results");
-    let laboratory = start(&options(small_rig(20.0), dir.path(), 189), SIZE);
+    let laboratory = start(&options(small_rig(20.0), dir.path()), SIZE);
     let file = &laboratory.nodes[0].path;
     let text = std::fs::read_to_string(file).expect("a node file");
     std::fs::write(file, format!("{text}\n[worker]\nresults = \"{}\"\n", results.display()))

@@ -3,8 +3,8 @@
 //! what cannot be is refused with all reasons at once; the state that a recording holds.
 
 use crate::lab::{
-    SIZE, assert_contains, fourdbody, laboratory, options, say, small_rig, start_laboratory, start_nodes,
-    text_of,
+    SIZE, assert_contains, capture_whole, fourdbody, laboratory, options, say, small_rig, start_laboratory,
+    start_nodes, text_of,
 };
 use crate::matrix::{judge, without_user_sets};
 use crate::profiles::tables;
@@ -22,7 +22,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 fn capture(laboratory: &Laboratory, name: &str) -> Output {
-    fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "12", "--name", name])
+    capture_whole(laboratory, name, 12, &[])
 }
 
 fn json(output: &Output) -> Value {
@@ -39,7 +39,7 @@ fn first_camera(laboratory: &Laboratory) -> (Box<dyn Camera>, Wishes) {
 #[test]
 fn what_is_said_is_set_and_the_whole_state_is_recorded() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 221, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     say(&laboratory.nodes[0].path, "h0_low", "exposure_us = 700.0");
     // Left over: another trigger is on, and the exposure is long.
     let (mut camera, mut wishes) = first_camera(&laboratory);
@@ -79,12 +79,13 @@ fn what_is_said_is_set_and_the_whole_state_is_recorded() {
     // What was recorded is what is there, and what a session differs in is told.
     // The node was killed: its cameras are free when its heartbeats time out.
     let deadline = Instant::now() + Duration::from_secs(30);
-    let mut dumped = fourdbody(&["cameras", "dump", "127.0.221.12", "--json"]);
+    let address = laboratory.cameras[1].address().to_string();
+    let mut dumped = fourdbody(&["cameras", "dump", &address, "--json"]);
     while dumped.status.code() == Some(5) && Instant::now() < deadline {
-        dumped = fourdbody(&["cameras", "dump", "127.0.221.12", "--json"]);
+        dumped = fourdbody(&["cameras", "dump", &address, "--json"]);
     }
     assert_eq!(dumped.status.code(), Some(0), "{}", text_of(&dumped));
-    assert_eq!(json(&dumped)["cameras"]["127.0.221.12"]["state"]["ExposureTime"], "700");
+    assert_eq!(json(&dumped)["cameras"][&address]["state"]["ExposureTime"], "700");
     let file = dir.path().join("dump.json");
     let config = laboratory.nodes[0].path.display().to_string();
     let dumped = fourdbody(&["cameras", "dump", "--config", &config, "--json"]);
@@ -154,7 +155,7 @@ fn cameras_of_other_makes_are_set_and_what_was_left_is_told() {
         makes: makes.iter().map(|(id, _, make)| ((*id).to_owned(), Arc::clone(make))).collect(),
         habits: [("h0_up".to_owned(), step)].into(),
         make_words: false,
-        ..options(small_rig(20.0), dir.path(), 223)
+        ..options(small_rig(20.0), dir.path())
     };
     let laboratory = start_laboratory(&options);
     for (id, line, _) in &makes {
@@ -199,7 +200,7 @@ fn what_no_rule_knows_is_left_to_settings() {
     let options = LaboratoryOptions {
         makes: makes.iter().map(|(id, name)| ((*id).to_owned(), load(name))).collect(),
         make_words: false,
-        ..options(small_rig(20.0), dir.path(), 229)
+        ..options(small_rig(20.0), dir.path())
     };
     let laboratory = start_laboratory(&options);
     let file = &laboratory.nodes[0].path;
@@ -222,7 +223,7 @@ fn what_no_rule_knows_is_left_to_settings() {
 #[test]
 fn all_problems_of_all_cameras_are_told_at_once() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = start_laboratory(&options(small_rig(20.0), dir.path(), 222));
+    let laboratory = start_laboratory(&options(small_rig(20.0), dir.path()));
     let file = |node: usize| laboratory.nodes[node].path.clone();
     say(&file(0), "h0_up", "trigger_line = \"Line7\"");
     say(&file(0), "h1_up", "gain_db = 90.0");

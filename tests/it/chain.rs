@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Two node processes, eight simulated cameras and the simulated HSU: whole sessions over real protocols.
 
-use crate::lab::{fourdbody, laboratory, start_nodes, text_of};
+use crate::lab::{capture_whole, fourdbody, laboratory, start_nodes, text_of};
 use fourdbody::base::ids::TriggerIndex;
 use fourdbody::data::{Frame, FrameSource};
 use fourdbody::record::SessionReader;
@@ -10,11 +10,10 @@ use fourdbody_simulator::gige::TestImages;
 #[test]
 fn a_session_of_both_nodes_is_complete_and_every_frame_is_its_own() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 101, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     for name in ["first", "second"] {
-        let captured =
-            fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "24", "--name", name]);
+        let captured = capture_whole(&laboratory, name, 24, &[]);
         assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
         nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
 

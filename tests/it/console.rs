@@ -36,7 +36,7 @@ fn laboratory(dir: &Path) -> Laboratory {
     let file = dir.join("calibration.json");
     calibration.save(&file).expect("writable");
     let mut cameras = calibration.heads.iter().flat_map(|head| head.cameras.iter().map(move |c| (head, c)));
-    let options = LaboratoryOptions { calibration: Some(file), ..options(rig_text, dir, 171) };
+    let options = LaboratoryOptions { calibration: Some(file), ..options(rig_text, dir) };
     let options = LaboratoryOptions { socket: fourdbody::config::SocketMode::Standard, ..options };
     let laboratory = Laboratory::start(&options, |_| {
         let (head, camera) = cameras.next().expect("eight cameras");

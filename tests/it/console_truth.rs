@@ -20,7 +20,7 @@ struct Scene {
 
 impl Scene {
     /// `None` without a browser on this machine.
-    fn open(subnet: u8) -> Option<Self> {
+    fn open() -> Option<Self> {
         let Some(browser) = Browser::start() else {
             println!("skipped: no browser (Debian packages chromium and chromium-driver)");
             return None;
@@ -28,7 +28,7 @@ impl Scene {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let rig = small_rig(RATE_HZ).replace("warm_up_triggers = 8 ", "warm_up_triggers = 40 ");
         assert!(rig.contains("warm_up_triggers = 40"), "the shipped rig says it in other words");
-        let laboratory = start(&options(rig, dir.path(), subnet), SIZE);
+        let laboratory = start(&options(rig, dir.path()), SIZE);
         let nodes = start_nodes(&laboratory);
         let scene = Self { dir, laboratory, nodes, browser };
         scene.load();
@@ -70,7 +70,7 @@ impl Scene {
 
 #[test]
 fn an_edge_of_an_input_begins_a_session_and_stop_ends_the_waiting() {
-    let Some(mut scene) = Scene::open(238) else { return };
+    let Some(mut scene) = Scene::open() else { return };
     let begin = |scene: &Scene, name: &str| {
         scene.fill(name, "0.5", "1", "0");
         scene.browser.run("document.getElementById('start-on').value = '2:rising'");
@@ -100,7 +100,7 @@ fn an_edge_of_an_input_begins_a_session_and_stop_ends_the_waiting() {
 
 #[test]
 fn a_series_is_told_with_all_its_takes() {
-    let Some(mut scene) = Scene::open(178) else { return };
+    let Some(mut scene) = Scene::open() else { return };
     two_takes_are_two_takes(&scene);
     a_name_that_is_taken_is_numbered(&scene);
     the_first_take_has_its_causes(&mut scene);
@@ -243,7 +243,7 @@ fn what_is_thought_of_a_take_is_kept(scene: &Scene) {
 
 #[test]
 fn nothing_old_is_shown_as_new() {
-    let Some(mut scene) = Scene::open(179) else { return };
+    let Some(mut scene) = Scene::open() else { return };
     scene.browser.press("p");
     let live = "return document.querySelectorAll('.camera.live').length === 8";
     scene.browser.wait("eight live pictures", live);
@@ -295,7 +295,7 @@ fn a_node_is_killed(scene: &mut Scene) {
 
 #[test]
 fn the_page_is_seen_whole_and_nothing_moves_under_the_hand() {
-    let Some(scene) = Scene::open(180) else { return };
+    let Some(scene) = Scene::open() else { return };
     let browser = &scene.browser;
     scene.fill("first", "0.5", "1", "0");
     browser.press("r");

@@ -445,7 +445,7 @@ mod node {
         let runs = number("FOURDBODY_CRASHES", 10);
         let mut random = Random(number("FOURDBODY_SEED", 1).wrapping_mul(77));
         let dir = tempfile::tempdir().expect("a temporary directory");
-        let laboratory = laboratory(dir.path(), 234, 60.0);
+        let laboratory = laboratory(dir.path(), 60.0);
         let mut nodes = start_nodes(&laboratory);
         let mut outcomes = Vec::new();
         let (mut run, mut kills) = (0, 0);

@@ -4,8 +4,8 @@
 
 use crate::console::Still;
 use crate::lab::{
-    SIZE, assert_contains, fourdbody, laboratory, options, say, small_rig, start, start_laboratory,
-    start_nodes, text_of,
+    SIZE, assert_contains, capture_whole, fourdbody, laboratory, options, say, small_rig, start,
+    start_laboratory, start_nodes, text_of,
 };
 use crate::reused::{Place, json, light, points_of, reconstruct};
 use crate::session_faults::check_frames;
@@ -32,13 +32,12 @@ const SENT: [(&str, usize, &str, &str); 7] = [
 #[test]
 fn deeper_grey_is_recorded_as_the_same_picture_and_its_loss_is_named() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 204, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     for (camera, node, word, _) in SENT {
         say(&laboratory.nodes[node].path, camera, &format!("pixel = {word:?}"));
     }
     let mut nodes = start_nodes(&laboratory);
-    let captured =
-        fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "24", "--name", "deep"]);
+    let captured = capture_whole(&laboratory, "deep", 24, &[]);
     assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
     nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
     let session = dir.path().join("sessions/deep");
@@ -82,7 +81,7 @@ fn frames_of_another_depth_than_agreed_are_gaps() {
         ("h0_up".to_owned(), habit(Form::default())),
         ("h0_low".to_owned(), habit(Form { short: 4, ..twelve })),
     ];
-    let options = LaboratoryOptions { habits: habits.into(), ..options(small_rig(20.0), dir.path(), 206) };
+    let options = LaboratoryOptions { habits: habits.into(), ..options(small_rig(20.0), dir.path()) };
     let laboratory = start_laboratory(&options);
     for camera in ["h0_up", "h0_low"] {
         say(&laboratory.nodes[0].path, camera, "pixel = \"mono12p\"");
@@ -111,13 +110,12 @@ fn the_plane_of_the_heads_colour_is_recorded_at_half_the_size() {
     const PLANES: [(&str, usize, usize, (usize, usize)); 3] =
         [("h0_up", 0, 0, (0, 0)), ("h1_up", 0, 2, (1, 0)), ("h2_up", 1, 4, (1, 1))];
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = start(&options(small_rig(20.0), dir.path(), 211), SENSOR);
+    let laboratory = start(&options(small_rig(20.0), dir.path()), SENSOR);
     for (camera, node, ..) in PLANES {
         say(&laboratory.nodes[node].path, camera, "pixel = \"bayer8\"");
     }
     let mut nodes = start_nodes(&laboratory);
-    let captured =
-        fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "12", "--name", "planes"]);
+    let captured = capture_whole(&laboratory, "planes", 12, &[]);
     assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
     nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
     let session = dir.path().join("sessions/planes");
@@ -159,7 +157,7 @@ fn clouds_of_12_bit_sessions_are_those_of_8_bit_ones() {
     let rig = std::fs::read_to_string(place.path("rig.toml")).expect("a rig");
     let rig = rig.replace("trigger_rate_hz = 120.0", "trigger_rate_hz = 5.0");
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let options = LaboratoryOptions { socket: SocketMode::Standard, ..options(rig, dir.path(), 209) };
+    let options = LaboratoryOptions { socket: SocketMode::Standard, ..options(rig, dir.path()) };
     let mut photographs = light().iter();
     let laboratory =
         Laboratory::start(&options, |_| Arc::new(Still(photographs.next().expect("two cameras").clone())))
@@ -170,8 +168,7 @@ fn clouds_of_12_bit_sessions_are_those_of_8_bit_ones() {
             say(&laboratory.nodes[0].path, camera, &format!("pixel = {word:?}"));
         }
         let mut nodes = start_nodes(&laboratory);
-        let captured =
-            fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "2", "--name", name]);
+        let captured = capture_whole(&laboratory, name, 2, &[]);
         assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
         nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
         drop(nodes);

@@ -16,17 +16,12 @@ const RATE_HZ: f64 = 20.0;
 const SET_BYTES: u64 = 4 * 320 * 200;
 
 /// A laboratory whose nodes record onto disks with this plan; `None`, and it is said, where there is no FUSE.
-fn laboratory_on(
-    dir: &Path,
-    subnet: u8,
-    plan: &str,
-    change: impl FnOnce(&mut LaboratoryOptions),
-) -> Option<Laboratory> {
+fn laboratory_on(dir: &Path, plan: &str, change: impl FnOnce(&mut LaboratoryOptions)) -> Option<Laboratory> {
     if let Some(reason) = SimulatedDisk::unavailable() {
         eprintln!("skipped, no disk can be simulated here: {reason}");
         return None;
     }
-    let mut options = options(small_rig(RATE_HZ), dir, subnet);
+    let mut options = options(small_rig(RATE_HZ), dir);
     options.disk = Some(DiskPlan::parse(plan).expect("a valid plan").expect("a table [disk]"));
     change(&mut options);
     Some(start_laboratory(&options))
@@ -111,7 +106,7 @@ fn a_slow_disk_costs_whole_frame_sets_that_are_named() {
     let plan = format!(
         "[disk]\nseed = 1\nnodes = [\"a\"]\n[disk.slow]\nbytes_per_s = {rate:.0}\nfrom_byte = 1_000_000\n"
     );
-    let Some(laboratory) = laboratory_on(dir.path(), 180, &plan, |_| {}) else { return };
+    let Some(laboratory) = laboratory_on(dir.path(), &plan, |_| {}) else { return };
     let mut nodes = start_nodes(&laboratory);
     let recorded = Recorded::capture(dir.path(), &laboratory, &mut nodes, "80");
     recorded.assert_exit(3);
@@ -133,7 +128,7 @@ fn a_slow_disk_ends_the_session_where_that_is_configured() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let plan =
         "[disk]\nseed = 1\nnodes = [\"b\"]\n[disk.slow]\nbytes_per_s = 1_000_000\nfrom_byte = 1_000_000\n";
-    let Some(laboratory) = laboratory_on(dir.path(), 181, plan, |_| {}) else { return };
+    let Some(laboratory) = laboratory_on(dir.path(), plan, |_| {}) else { return };
     for node in &laboratory.nodes {
         let text = std::fs::read_to_string(&node.path).expect("written by the laboratory");
         let text = text.replace("[acquisition]\n", "[acquisition]\nwhen_full = \"stop\"\n");
@@ -154,7 +149,7 @@ fn a_slow_disk_ends_the_session_where_that_is_configured() {
 fn a_slow_disk_costs_nothing_while_the_ring_suffices() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let plan = "[disk]\nseed = 3\n[disk.slow]\nlatency_ms = 10.0\nspread = 0.6\n";
-    let Some(laboratory) = laboratory_on(dir.path(), 182, plan, |o| o.buffers_per_camera = 128) else {
+    let Some(laboratory) = laboratory_on(dir.path(), plan, |o| o.buffers_per_camera = 128) else {
         return;
     };
     let mut nodes = start_nodes(&laboratory);
@@ -176,7 +171,7 @@ fn a_small_disk_refuses_what_it_cannot_hold_and_is_never_filled() {
     let change = |options: &mut LaboratoryOptions| {
         (options.reserve_mib, options.rig_text) = (2, small_rig(2.0 * RATE_HZ));
     };
-    let Some(laboratory) = laboratory_on(dir.path(), 183, &plan, change) else { return };
+    let Some(laboratory) = laboratory_on(dir.path(), &plan, change) else { return };
     let mut nodes = start_nodes(&laboratory);
     let refused = Recorded::capture(dir.path(), &laboratory, &mut nodes, "100");
     refused.assert_exit(1);
@@ -216,15 +211,10 @@ enum Accounting {
 
 /// A session during which one node's disk fails by this plan (without seed and nodes), and everything that must hold
 /// whatever the moment of the failure.
-fn recorded_on_a_failing_disk(
-    dir: &Path,
-    subnet: u8,
-    seed: u64,
-    plan: &str,
-) -> Option<(Recorded, Accounting)> {
+fn recorded_on_a_failing_disk(dir: &Path, seed: u64, plan: &str) -> Option<(Recorded, Accounting)> {
     let (failing, other) = if seed % 2 == 1 { ("b", "a") } else { ("a", "b") };
     let plan = format!("[disk]\nseed = {seed}\nnodes = [\"{failing}\"]\n{plan}");
-    let laboratory = laboratory_on(dir, subnet, &plan, |_| {})?;
+    let laboratory = laboratory_on(dir, &plan, |_| {})?;
     let mut nodes = start_nodes(&laboratory);
     let recorded = Recorded::capture(dir, &laboratory, &mut nodes, "200");
     let failed = recorded.happened(DiskFault::Full) || recorded.happened(DiskFault::IoError);
@@ -298,7 +288,7 @@ fn a_disk_that_is_full_at_any_byte_leaves_a_readable_recording() {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let plan =
             "[disk.full]\ncapacity_bytes = [1_000_000, 10_000_000]\nannounced_bytes = 1_000_000_000_000\n";
-        let Some((recorded, _)) = recorded_on_a_failing_disk(dir.path(), 184, seed, plan) else { return };
+        let Some((recorded, _)) = recorded_on_a_failing_disk(dir.path(), seed, plan) else { return };
         assert!(recorded.happened(DiskFault::Full), "{}", recorded.text());
     }
 }
@@ -308,7 +298,7 @@ fn a_write_that_fails_once_costs_what_was_under_way_and_the_books_are_closed() {
     for seed in seeds() {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let plan = "[[disk.error]]\non = \"write\"\nat_byte = [500_000, 10_000_000]\n";
-        let Some((recorded, accounting)) = recorded_on_a_failing_disk(dir.path(), 185, seed, plan) else {
+        let Some((recorded, accounting)) = recorded_on_a_failing_disk(dir.path(), seed, plan) else {
             return;
         };
         assert!(accounting != Accounting::Missing, "there is room for the accounting: {}", recorded.text());
@@ -320,7 +310,7 @@ fn a_failed_fdatasync_costs_what_it_should_have_made_durable() {
     for seed in seeds() {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let plan = "[[disk.error]]\non = \"sync\"\nnth = [4, 14]\n";
-        let Some((recorded, accounting)) = recorded_on_a_failing_disk(dir.path(), 186, seed, plan) else {
+        let Some((recorded, accounting)) = recorded_on_a_failing_disk(dir.path(), seed, plan) else {
             return;
         };
         assert!(accounting != Accounting::Missing, "there is room for the accounting: {}", recorded.text());
@@ -333,7 +323,7 @@ fn a_disk_that_is_gone_leaves_what_was_durable() {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let nth = if on == "sync" { "[4, 12]" } else { "[20, 60]" };
         let plan = format!("[[disk.error]]\non = \"{on}\"\nnth = {nth}\nfor_good = true\n");
-        let Some((recorded, accounting)) = recorded_on_a_failing_disk(dir.path(), 187, seed, &plan) else {
+        let Some((recorded, accounting)) = recorded_on_a_failing_disk(dir.path(), seed, &plan) else {
             return;
         };
         assert!(accounting != Accounting::Closed, "nothing can be written any more: {}", recorded.text());
@@ -345,7 +335,7 @@ fn a_disk_that_fails_before_the_session_refuses_it_and_keeps_nothing() {
     for on in ["write", "sync"] {
         let dir = tempfile::tempdir().expect("a temporary directory");
         let plan = format!("[disk]\nseed = 1\nnodes = [\"b\"]\n[[disk.error]]\non = \"{on}\"\nnth = 1\n");
-        let Some(laboratory) = laboratory_on(dir.path(), 188, &plan, |_| {}) else { return };
+        let Some(laboratory) = laboratory_on(dir.path(), &plan, |_| {}) else { return };
         let mut nodes = start_nodes(&laboratory);
         let refused = Recorded::capture(dir.path(), &laboratory, &mut nodes, "10");
         refused.assert_exit(1);

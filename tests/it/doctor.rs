@@ -3,7 +3,7 @@
 //!
 //! What it thinks of the host that runs the tests is not tested here, only that it says something.
 
-use crate::lab::{NodeProcess, fourdbody, laboratory, text_of};
+use crate::lab::{NodeProcess, fourdbody, host, laboratory, text_of};
 use crate::profiles::tables;
 use fourdbody_simulator::gige::{CameraOptions, Habits, Make, SimulatedCamera, TestImages};
 use fourdbody_simulator::hsu::{HsuOptions, SimulatedHsu};
@@ -46,7 +46,7 @@ fn assert_no_trace(dir: &Path) {
 #[test]
 fn good_devices_pass_and_the_disk_is_measured() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 130, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let (_, findings) = examine(&laboratory, &["--disk-seconds", "1"]);
     let expected = ["h0_up", "h0_low", "h1_up", "h1_low"]
         .iter()
@@ -78,15 +78,16 @@ fn good_devices_pass_and_the_disk_is_measured() {
 fn a_camera_in_a_wrong_subnet_is_named() {
     let Some(tables) = tables() else { return };
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 241, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
+    let network = laboratory.cameras[0].address();
     let images = Arc::new(TestImages::new(64, 48, 1, TestImages::DISTINCT));
-    let mut camera = CameraOptions::new("AWAY", [127, 0, 241, 77].into(), images);
+    let mut camera = CameraOptions::new("AWAY", host(network, 77), images);
     camera.make = Some(Arc::new(Make::load(&tables.join("basler_aca1920_25gm.json")).expect("a table")));
     camera.habits = Habits { link_local: true, ..Habits::default() };
     let _away = SimulatedCamera::start(camera).expect("its address is free");
     let (_, findings) = examine(&laboratory, &["--disk-seconds", "0"]);
-    let of_it =
-        |f: &&Value| f["found"].as_str().is_some_and(|found| found.contains("AWAY at 169.254.241.77"));
+    let place = format!("AWAY at 169.254.{}.77", network.octets()[2]);
+    let of_it = |f: &&Value| f["found"].as_str().is_some_and(|found| found.contains(&place));
     let finding = findings.iter().find(of_it).unwrap_or_else(|| panic!("not named in {findings:#?}"));
     assert_eq!(
         (&finding["check"], &finding["grade"]),
@@ -98,11 +99,12 @@ fn a_camera_in_a_wrong_subnet_is_named() {
 #[test]
 fn test_packets_that_do_not_arrive_name_what_lists_the_firewalls_rules() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let mut laboratory = laboratory(dir.path(), 134, 20.0);
+    let mut laboratory = laboratory(dir.path(), 20.0);
+    let address = laboratory.cameras[1].address();
     drop::<SimulatedCamera>(laboratory.cameras.remove(1));
     // A firewall drops packets; these come long after the doctor has given up.
     let images = Arc::new(TestImages::new(64, 48, 1, TestImages::DISTINCT));
-    let mut camera = CameraOptions::new("MUTE", [127, 0, 134, 12].into(), images);
+    let mut camera = CameraOptions::new("MUTE", address, images);
     camera.habits = Habits { test_packet_late_ms: 20_000, ..Habits::default() };
     let _mute = SimulatedCamera::start(camera).expect("its address is free");
     let (code, findings) = examine(&laboratory, &["--disk-seconds", "0"]);
@@ -117,7 +119,8 @@ fn test_packets_that_do_not_arrive_name_what_lists_the_firewalls_rules() {
 #[test]
 fn an_absent_camera_and_a_wrong_hsu_device_are_named() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let mut laboratory = laboratory(dir.path(), 131, 20.0);
+    let mut laboratory = laboratory(dir.path(), 20.0);
+    let address = laboratory.cameras[1].address().to_string();
     drop::<SimulatedCamera>(laboratory.cameras.remove(1));
     // Something that speaks the protocol and is another product, and something that is no serial port.
     let identity =
@@ -144,7 +147,7 @@ fn an_absent_camera_and_a_wrong_hsu_device_are_named() {
     );
     let findings = examine_with("/dev/null");
     let absent = finding(&findings, "camera h0_low");
-    assert!(absent["found"].as_str().expect("text").contains("127.0.131.12"), "{absent}");
+    assert!(absent["found"].as_str().expect("text").contains(&address), "{absent}");
     assert!(absent["advice"].as_str().expect("text").contains("cable"), "{absent}");
     let hsu = finding(&findings, "HSU");
     assert!(hsu["expected"].as_str().expect("text").contains("/dev/null"), "{hsu}");
@@ -155,8 +158,10 @@ fn an_absent_camera_and_a_wrong_hsu_device_are_named() {
 fn a_camera_of_another_program_is_named_with_its_holder() {
     use fourdbody::camera::{AravisCameras, CameraBackend};
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 132, 20.0);
-    let other = AravisCameras.open("127.0.132.13").expect("the other program opens it first");
+    let laboratory = laboratory(dir.path(), 20.0);
+    let other = AravisCameras
+        .open(&laboratory.cameras[2].address().to_string())
+        .expect("the other program opens it first");
     let (code, findings) = examine(&laboratory, &["--disk-seconds", "0"]);
     assert_eq!(code, Some(5), "{findings:#?}");
     assert_eq!(names(&findings, "device", "failed"), ["camera h1_up"], "{findings:#?}");
@@ -168,7 +173,7 @@ fn a_camera_of_another_program_is_named_with_its_holder() {
 #[test]
 fn a_running_node_keeps_its_devices() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 133, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut node = NodeProcess::start(&laboratory.nodes[0].path, laboratory.nodes[0].port);
     node.wait_ready();
     let (_, findings) = examine(&laboratory, &["--disk-seconds", "5"]);

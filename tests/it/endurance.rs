@@ -50,7 +50,7 @@ fn sessions_in_a_row_leave_nothing_behind() {
     let _turn = turn();
     let cycles = asked("FOURDBODY_CYCLES", 20).max(4);
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory_of(dir.path(), 145, 100.0, (64, 48), 1);
+    let laboratory = laboratory_of(dir.path(), 100.0, (64, 48), 1);
     let mut nodes = start_nodes(&laboratory);
     // Beside other tests one session in twenty has lost a node's frames, why is not known; the loss was told each time.
     let mut incomplete = Vec::new();
@@ -94,7 +94,7 @@ fn block_ids_wrap_within_a_session() {
     let _turn = turn();
     let triggers = asked("FOURDBODY_TRIGGERS", 600);
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory_of(dir.path(), 146, 200.0, (64, 48), 65_300);
+    let laboratory = laboratory_of(dir.path(), 200.0, (64, 48), 65_300);
     let _nodes = start_nodes(&laboratory);
     let count = triggers.to_string();
     let output =

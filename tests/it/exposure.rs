@@ -3,7 +3,7 @@
 //! refused where they cannot be, and gone with the node's process. Half a minute.
 
 use crate::browser::Browser;
-use crate::lab::{NodeProcess, fourdbody, laboratory, start_nodes, text_of};
+use crate::lab::{NodeProcess, capture_whole, laboratory, start_nodes, text_of};
 use fourdbody::api::AuditLine;
 use fourdbody::control::status::NodeStatus;
 use fourdbody::record::SessionReader;
@@ -48,15 +48,14 @@ fn recorded(dir: &Path, session: &str, camera: &str) -> (Value, String) {
 }
 
 fn capture(laboratory: &Laboratory, name: &str) {
-    let args = ["capture", "--nodes", &laboratory.urls(), "--triggers", "12", "--name", name];
-    let captured = fourdbody(&args);
+    let captured = capture_whole(laboratory, name, 12, &[]);
     assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
 }
 
 #[test]
 fn exposure_and_gain_are_set_between_sessions_and_hold_until_the_node_ends() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 231, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let both = json!({ "heads": ["h0", "h2"], "exposure_us": 1600.0, "gain_db": 3.0 });
     for (path, cameras) in

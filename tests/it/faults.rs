@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 const TRIGGERS: usize = 300;
 
 /// Records a train with these faults; the truth and the session.
-fn recorded(dir: &Path, subnet: u8, plan: FaultPlan) -> (Vec<Injected>, PathBuf) {
+fn recorded(dir: &Path, plan: FaultPlan) -> (Vec<Injected>, PathBuf) {
     let _turn = turn();
-    let options = options(small_rig(40.0), dir, subnet);
+    let options = options(small_rig(40.0), dir);
     let options = LaboratoryOptions { buffers_per_camera: 64, faults: Some(plan), ..options };
     let laboratory = start_laboratory(&options);
     let mut nodes = start_nodes(&laboratory);
@@ -33,7 +33,7 @@ fn a_packet_cut_short_is_a_loss() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let probability = BTreeMap::from([(Kind::Truncated, 0.02)]);
     let plan = FaultPlan { seed: 1, probability, ..FaultPlan::default() };
-    let (truth, session) = recorded(dir.path(), 121, plan);
+    let (truth, session) = recorded(dir.path(), plan);
     let accounting = check(&truth, &[&session], Shown::TestImages).expect("a session");
     assert_eq!(accounting.mismatches, 0, "{:#?}", accounting.listed);
 }
@@ -44,7 +44,7 @@ fn every_injected_fault_is_accounted_for_and_nothing_else_is_missing() {
     let mut plan = FaultPlan::mixed(2026, 0.008);
     // In a test of its own.
     plan.probability.remove(&Kind::Truncated);
-    let (truth, session) = recorded(dir.path(), 120, plan);
+    let (truth, session) = recorded(dir.path(), plan);
     let accounting = check(&truth, &[&session], Shown::TestImages).expect("a session");
     println!("{}", serde_json::json!(accounting));
     assert_eq!(accounting.mismatches, 0, "{:#?}", accounting.listed);

@@ -3,7 +3,8 @@
 //! to something else than a session records, or whose clock has another unit, beside ones that do not.
 
 use crate::lab::{
-    WORDS, assert_contains, fourdbody, options, say, small_rig, start_laboratory, start_nodes, text_of,
+    WORDS, assert_contains, capture_whole, fourdbody, options, say, small_rig, start_laboratory, start_nodes,
+    text_of,
 };
 use crate::session_faults::check_frames;
 use fourdbody::config::FEATURES_OF_WORDS;
@@ -19,8 +20,7 @@ const MONO12P: u32 = 0x010c_0047;
 const RGB8: u32 = 0x0218_0014;
 
 fn capture(laboratory: &Laboratory, triggers: u64, name: &str) -> Output {
-    let triggers = triggers.to_string();
-    fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", &triggers, "--name", name])
+    capture_whole(laboratory, name, triggers, &[])
 }
 
 fn habits<const N: usize>(of: [(&str, Habits); N]) -> BTreeMap<String, Habits> {
@@ -69,7 +69,7 @@ fn frames_that_are_no_plain_mono8_of_their_size_are_gaps_that_say_so() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let options = LaboratoryOptions {
         habits: cases.iter().map(|(camera, form, ..)| ((*camera).to_owned(), habit(*form))).collect(),
-        ..options(small_rig(20.0), dir.path(), 200)
+        ..options(small_rig(20.0), dir.path())
     };
     let laboratory = start_laboratory(&options);
     let mut nodes = start_nodes(&laboratory);
@@ -119,7 +119,7 @@ fn an_image_that_chunks_follow_is_taken_where_they_cannot_be_switched_off() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let options = LaboratoryOptions {
         habits: cases.iter().map(|(id, form, frames)| ((*id).to_owned(), habit(*form, *frames))).collect(),
-        ..options(small_rig(20.0), dir.path(), 203)
+        ..options(small_rig(20.0), dir.path())
     };
     let laboratory = start_laboratory(&options);
     say(&laboratory.nodes[0].path, "h1_low", "pixel = \"mono12p\"");
@@ -186,7 +186,7 @@ fn what_a_session_needs_is_asked_of_cameras_and_lists_keep_their_order() {
     let power_on = |power_on| Habits { power_on, ..Habits::default() };
     let options = LaboratoryOptions {
         habits: habits([("h0_up", power_on(form)), ("h0_low", power_on(padded))]),
-        ..options(small_rig(20.0), dir.path(), 201)
+        ..options(small_rig(20.0), dir.path())
     };
     let laboratory = start_laboratory(&options);
     // The trigger of the acquisition is left on, that of the frame off: in another order it would be right.
@@ -235,7 +235,7 @@ fn a_clock_is_read_in_its_own_unit_or_not_at_all() {
             ("h1_low", clock(ClockHabit::NoFrequency)),
             ("h2_up", clock(ClockHabit::Still)),
         ]),
-        ..options(small_rig(20.0), dir.path(), 202)
+        ..options(small_rig(20.0), dir.path())
     };
     let laboratory = start_laboratory(&options);
     set(&laboratory.nodes[1].path, COMMON, |_| {

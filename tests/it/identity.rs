@@ -42,7 +42,7 @@ fn cameras_that_stamp_and_send_when_they_like_are_never_a_trigger_off() {
     let options = LaboratoryOptions {
         habits: habits.into_iter().map(|(camera, habits)| (camera.to_owned(), habits)).collect(),
         faults: Some(FaultPlan::parse(text).expect("a valid plan")),
-        ..options(small_rig(40.0), dir.path(), 205)
+        ..options(small_rig(40.0), dir.path())
     };
     let laboratory = start_laboratory(&options);
     let mut nodes = start_nodes(&laboratory);

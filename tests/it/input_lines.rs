@@ -13,7 +13,7 @@ const TRIGGERS: u64 = 40;
 #[test]
 fn a_hand_switch_starts_a_session_and_its_edges_are_recorded() {
     let dir = tempfile::tempdir().expect("a directory");
-    let laboratory = lab::laboratory(dir.path(), 235, 20.0);
+    let laboratory = lab::laboratory(dir.path(), 20.0);
     let mut nodes = lab::start_nodes(&laboratory);
     let capture = Command::new(lab::FOURDBODY)
         .args(["capture", "--nodes", &laboratory.urls(), "--name", "switch", "--start-on", "2", "--json"])
@@ -80,7 +80,7 @@ fn a_hand_switch_starts_a_session_and_its_edges_are_recorded() {
 #[test]
 fn a_session_that_waits_for_an_edge_can_be_stopped_and_leaves_nothing() {
     let dir = tempfile::tempdir().expect("a directory");
-    let laboratory = lab::laboratory(dir.path(), 236, 20.0);
+    let laboratory = lab::laboratory(dir.path(), 20.0);
     let mut nodes = lab::start_nodes(&laboratory);
     let capture = Command::new(lab::FOURDBODY)
         .args(["capture", "--nodes", &laboratory.urls(), "--name", "never", "--start-on", "0:falling"])
@@ -101,6 +101,6 @@ fn a_session_that_waits_for_an_edge_can_be_stopped_and_leaves_nothing() {
     nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
     laboratory.hsu.input(0, false);
     assert_eq!(laboratory.hsu.fired(), 0);
-    let next = fourdbody(&["capture", "--nodes", &laboratory.urls(), "--name", "next", "--triggers", "5"]);
+    let next = lab::capture_whole(&laboratory, "next", 5, &[]);
     assert!(next.status.success(), "{}", text_of(&next));
 }

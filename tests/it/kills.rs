@@ -2,7 +2,7 @@
 //! `kill -9` of either node at each stage of a session (docs/design/operation.md): the test stands in for systemd and starts it again.
 
 use crate::crash::{Random, number};
-use crate::lab::{NodeProcess, fourdbody, laboratory, start_nodes, text_of};
+use crate::lab::{NodeProcess, capture_whole, fourdbody, laboratory, start_nodes, text_of};
 use fourdbody::control::request::Phase;
 use fourdbody::control::status::{NodeStatus, Outcome, path};
 use fourdbody::record::SessionReader;
@@ -56,9 +56,9 @@ pub(crate) struct Rig {
 }
 
 impl Rig {
-    pub(crate) fn new(subnet: u8) -> Self {
+    pub(crate) fn new() -> Self {
         let dir = tempfile::tempdir().expect("a temporary directory");
-        let laboratory = laboratory(dir.path(), subnet, 20.0);
+        let laboratory = laboratory(dir.path(), 20.0);
         let nodes = start_nodes(&laboratory);
         Self { dir, laboratory, nodes }
     }
@@ -122,9 +122,7 @@ impl Rig {
     pub(crate) fn the_next_session_works(&mut self, name: &str) {
         self.nodes.iter_mut().for_each(|node| drop(node.wait_ready()));
         self.the_capture_has_ended(name);
-        let urls = self.laboratory.urls();
-        let next = format!("{name}-next");
-        let captured = fourdbody(&["capture", "--nodes", &urls, "--triggers", "6", "--name", &next]);
+        let captured = capture_whole(&self.laboratory, &format!("{name}-next"), 6, &[]);
         assert_eq!(captured.status.code(), Some(0), "after {name}: {}", text_of(&captured));
     }
 }
@@ -166,7 +164,7 @@ fn is_saved(status: &NodeStatus, part: &Path, name: &str) -> u64 {
 
 #[test]
 fn a_node_that_is_killed_before_the_first_trigger_leaves_nobody_waiting() {
-    let mut rig = Rig::new(211);
+    let mut rig = Rig::new();
     for stage in [Stage::Preparing, Stage::CountingDown] {
         for victim in [COORDINATOR, 1] {
             let name = format!("{stage:?}-{victim}").to_lowercase();
@@ -187,7 +185,7 @@ fn a_node_that_is_killed_before_the_first_trigger_leaves_nobody_waiting() {
 
 #[test]
 fn a_node_that_is_killed_while_recording_loses_nothing_that_was_on_the_disk() {
-    let mut rig = Rig::new(212);
+    let mut rig = Rig::new();
     for victim in [COORDINATOR, 1] {
         let name = format!("recording-{victim}");
         let last =
@@ -207,7 +205,7 @@ fn a_node_that_is_killed_while_recording_loses_nothing_that_was_on_the_disk() {
 
 #[test]
 fn a_node_that_is_killed_after_the_last_trigger_costs_the_other_nothing() {
-    let mut rig = Rig::new(213);
+    let mut rig = Rig::new();
     let mut random = Random(number("FOURDBODY_SEED", 5));
     let mut at_the_end = 0;
     for round in 0..6 {

@@ -1,14 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A simulated laboratory with real node processes, for tests of the whole chain.
 
+use fourdbody::base::ids::TriggerIndex;
 use fourdbody::config::SocketMode;
 use fourdbody::control::client::NodeClient;
+use fourdbody::control::request::Phase;
 use fourdbody::control::status::NodeStatus;
+use fourdbody::data::FrameSource;
+use fourdbody::record::{GapCause, SessionReader};
 use fourdbody_simulator::gige::TestImages;
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
-use std::net::Ipv4Addr;
+use std::net::{Ipv4Addr, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -33,10 +38,32 @@ pub fn rig_of(rate_hz: f64, (width, height): (usize, usize)) -> String {
         .replace("focal_px = 2048.0", &format!("focal_px = {:?}", (2048 * width / 1920) as f64))
 }
 
-/// A laboratory below `dir`; every test takes its own `subnet` of 127.0.0.0/16.
-pub fn options(rig_text: String, dir: &Path, subnet: u8) -> LaboratoryOptions {
+/// The address 1 of a network 127.0.N.0/24 that belongs to the caller alone for as long as this process runs: tests run
+/// beside each other, in several processes. A socket on a port that nobody else needs holds the network.
+pub fn own_network() -> Ipv4Addr {
+    static NEXT: AtomicU8 = AtomicU8::new(20);
+    static HELD: Mutex<Vec<UdpSocket>> = Mutex::new(Vec::new());
+    const LOCK_PORT: u16 = 3955;
+    loop {
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        assert!(number < u8::MAX, "expected fewer laboratories in one process than networks of 127.0.0.0/16");
+        if let Ok(socket) = UdpSocket::bind((Ipv4Addr::new(127, 0, number, 250), LOCK_PORT)) {
+            HELD.lock().unwrap_or_else(PoisonError::into_inner).push(socket);
+            return Ipv4Addr::new(127, 0, number, 1);
+        }
+    }
+}
+
+/// Another address of the same network.
+pub fn host(network: Ipv4Addr, number: u8) -> Ipv4Addr {
+    let [a, b, c, _] = network.octets();
+    Ipv4Addr::new(a, b, c, number)
+}
+
+/// A laboratory below `dir`, in a network of its own.
+pub fn options(rig_text: String, dir: &Path) -> LaboratoryOptions {
     LaboratoryOptions {
-        first_address: Ipv4Addr::new(127, 0, subnet, 11),
+        first_address: host(own_network(), 11),
         first_port: 0,
         reserve_mib: 1,
         ..LaboratoryOptions::new(rig_text, dir)
@@ -44,19 +71,13 @@ pub fn options(rig_text: String, dir: &Path, subnet: u8) -> LaboratoryOptions {
 }
 
 /// A laboratory whose cameras send [`TestImages`].
-pub fn laboratory(dir: &Path, subnet: u8, rate_hz: f64) -> Laboratory {
-    start_laboratory(&options(small_rig(rate_hz), dir, subnet))
+pub fn laboratory(dir: &Path, rate_hz: f64) -> Laboratory {
+    start_laboratory(&options(small_rig(rate_hz), dir))
 }
 
 /// A laboratory with sensors of this size, whose block ids begin at `first_block_id`.
-pub fn laboratory_of(
-    dir: &Path,
-    subnet: u8,
-    rate_hz: f64,
-    size: (usize, usize),
-    first_block_id: u64,
-) -> Laboratory {
-    let options = options(rig_of(rate_hz, size), dir, subnet);
+pub fn laboratory_of(dir: &Path, rate_hz: f64, size: (usize, usize), first_block_id: u64) -> Laboratory {
+    let options = options(rig_of(rate_hz, size), dir);
     start(&LaboratoryOptions { first_block_id, ..options }, size)
 }
 
@@ -75,6 +96,48 @@ pub fn start(options: &LaboratoryOptions, size: (usize, usize)) -> Laboratory {
         Arc::new(TestImages::new(size.0, size.1, number, TestImages::DISTINCT)) as _
     };
     Laboratory::start(options, images).expect("the laboratory starts")
+}
+
+/// What only a host that is too busy makes of a frame.
+pub fn is_by_host(cause: &GapCause) -> bool {
+    [GapCause::IdentityMismatch, GapCause::Timeout, GapCause::NodePaused].contains(cause)
+}
+
+/// Captures a session that has to be whole, of this many triggers. Where all that it lacks was given up by name because
+/// this host was too busy, it is captured again: twice at most.
+pub fn capture_whole(laboratory: &Laboratory, name: &str, triggers: u64, more: &[&str]) -> Output {
+    let (urls, triggers) = (laboratory.urls(), triggers.to_string());
+    let args = ["capture", "--nodes", &urls, "--triggers", &triggers, "--name", name];
+    let capture = || fourdbody(&[&args, more].concat());
+    let session = laboratory.nodes[0].path.with_file_name("sessions").join(name);
+    for _ in 0..2 {
+        let captured = capture();
+        if captured.status.code() != Some(3) || !all_by_host(&session) {
+            return captured;
+        }
+        println!("this host is busy; captured again: {}", text_of(&captured));
+        std::fs::remove_dir_all(&session).expect("removable");
+        for node in &laboratory.nodes {
+            let client = NodeClient::new(&format!("127.0.0.1:{}", node.port));
+            let deadline = Instant::now() + Duration::from_secs(60);
+            while client.status().is_ok_and(|status| status.phase != Phase::Idle) && Instant::now() < deadline
+            {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        }
+    }
+    capture()
+}
+
+/// Whether a busy host explains all that a session lacks.
+fn all_by_host(session: &Path) -> bool {
+    let Ok(reader) = SessionReader::open(session) else { return false };
+    let mut causes = Vec::new();
+    for camera in reader.cameras() {
+        let outcomes = reader.triggers().map(|trigger| reader.recorded_frame(camera, TriggerIndex(trigger)));
+        causes.extend(outcomes.filter_map(|outcome| outcome.ok()?.err()));
+    }
+    !causes.is_empty() && causes.iter().all(is_by_host)
 }
 
 /// What a laboratory's node file says of each of the simulator's own cameras.

@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What `fourdbody-sim lab` runs: nodes that show a live body, and the faults that one can type.
 
-use crate::lab::{FOURDBODY, turn};
+use crate::lab::{FOURDBODY, host, own_network, turn};
 use fourdbody::control::client::NodeClient;
 use fourdbody::control::request::Phase;
 use fourdbody_simulator::cmds::lab::{Args, Lab};
 use fourdbody_simulator::sequence::{Changes, Run};
-use std::net::Ipv4Addr;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -31,7 +30,7 @@ fn a_laboratory_in_one_command_shows_a_body_and_obeys() {
         dir: dir.path().to_owned(),
         frames: Some(frames.clone()),
         rate_hz: 5.0,
-        first_address: Ipv4Addr::new(127, 0, 149, 11),
+        first_address: host(own_network(), 11),
         first_port: 0,
         program: Some(FOURDBODY.into()),
         no_preview: false,

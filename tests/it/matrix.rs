@@ -7,7 +7,7 @@
 mod bench;
 mod published;
 
-use crate::lab::{fourdbody, options, rig_of, say, start, start_nodes, text_of};
+use crate::lab::{fourdbody, host, options, own_network, rig_of, say, start, start_nodes, text_of};
 use crate::profiles::{Table, all_tables, tables};
 use fourdbody::base::ids::{CameraId, TriggerIndex};
 use fourdbody::camera::description::Description;
@@ -371,7 +371,7 @@ fn in_doubt(session: &SessionReader, camera: &CameraId) -> bool {
 }
 
 /// Sessions of eight cameras each.
-fn record(group: &[Case], subnet: u8, dir: &Path) -> Vec<End> {
+fn record(group: &[Case], dir: &Path) -> Vec<End> {
     let of = |place: usize| group.get(place);
     let named = CAMERAS.iter().enumerate();
     let options = LaboratoryOptions {
@@ -381,7 +381,7 @@ fn record(group: &[Case], subnet: u8, dir: &Path) -> Vec<End> {
             .collect(),
         habits: named.filter_map(|(place, id)| Some(((*id).to_owned(), of(place)?.habits))).collect(),
         make_words: false,
-        ..options(rig_of(RATE_HZ, SIZE), dir, subnet)
+        ..options(rig_of(RATE_HZ, SIZE), dir)
     };
     let laboratory = start(&options, SIZE);
     for (place, case) in group.iter().enumerate() {
@@ -478,11 +478,12 @@ fn no_camera_is_silently_wrong() {
     all.extend(variants());
     let mut ends: BTreeMap<String, End> = BTreeMap::new();
     let mut accepted = Vec::new();
+    let network = own_network();
     // Most of the time a camera is waited for.
     for (group, cases) in all.chunks(4).enumerate() {
         let set_up = |(place, case)| {
             let number = (group * 4 + place) % 248;
-            set_up_alone(case, Ipv4Addr::new(127, 0, 230, 1 + number as u8))
+            set_up_alone(case, host(network, 1 + number as u8))
         };
         let outcomes: Vec<Result<(), String>> = std::thread::scope(|scope| {
             let threads: Vec<_> =
@@ -503,8 +504,7 @@ fn no_camera_is_silently_wrong() {
     println!("{} cases, {} of them refused when set up", all.len(), ends.len());
     for (number, group) in accepted.chunks(8).enumerate() {
         let dir = dir.path().join(format!("session-{number}"));
-        let subnet = 231 + (number % 6) as u8;
-        for (case, end) in group.iter().zip(record(group, subnet, &dir)) {
+        for (case, end) in group.iter().zip(record(group, &dir)) {
             println!("{}: {end:?}", case.name);
             ends.insert(case.name.clone(), end);
         }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A new bench: from an empty node file to a verified session of four unlike cameras, by `fourdbody cameras setup` alone.
 
-use crate::lab::{self, NodeProcess, assert_contains, fourdbody, options, rig_of, start, text_of};
+use crate::lab::{self, NodeProcess, assert_contains, fourdbody, host, options, rig_of, start, text_of};
 use crate::matrix::judge;
 use crate::profiles::tables;
 use fourdbody::base::image::read_png_grey;
@@ -31,7 +31,7 @@ fn rig() -> String {
 }
 
 /// Cameras of four makes on two heads, the last one with an address that nobody reaches, none with a name.
-fn bench(dir: &Path, subnet: u8, tables: &Path) -> Laboratory {
+fn bench(dir: &Path, tables: &Path) -> Laboratory {
     let load = |name: &str| Make::load(&tables.join(format!("{name}.json"))).expect("a table");
     let makes = [
         ("h0_up", load("basler_aca1920_25gm").wired_to("Line1")),
@@ -53,15 +53,15 @@ fn bench(dir: &Path, subnet: u8, tables: &Path) -> Laboratory {
         .into(),
         make_words: false,
         user_names: false,
-        ..options(rig(), dir, subnet)
+        ..options(rig(), dir)
     };
     start(&options, SIZE)
 }
 
-fn setup(dir: &Path, subnet: u8, more: &[&str]) -> Output {
+fn setup(dir: &Path, laboratory: &Laboratory, more: &[&str]) -> Output {
     let at = |name: &str| dir.join(name).display().to_string();
     let (config, hsu, sessions) = (at("bench.toml"), at("hsu-a"), at("sessions"));
-    let network = format!("127.0.{subnet}.0/24");
+    let network = format!("{}/24", host(laboratory.cameras[0].address(), 0));
     let first = ["cameras", "setup", "--config", &config, "--hsu", &hsu, "--sessions", &sessions];
     fourdbody(&[&first, &["--network", &network][..], more].concat())
 }
@@ -71,15 +71,16 @@ fn setup(dir: &Path, subnet: u8, more: &[&str]) -> Output {
 fn an_empty_node_file_becomes_a_verified_session_of_four_unlike_cameras() {
     let Some(tables) = tables() else { return };
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = bench(dir.path(), 240, &tables);
+    let laboratory = bench(dir.path(), &tables);
     let file = dir.path().join("bench.toml");
     std::fs::write(&file, "").expect("writable");
     // Nobody is there to be asked: what is to be said is told, and nothing is changed.
-    let last = "--camera=h1_low=02:00:7f:00:f0:0e";
-    let asked = setup(dir.path(), 240, &[last]);
+    let [.., net, own] = laboratory.cameras[3].address().octets();
+    let last = &format!("--camera=h1_low=02:00:7f:00:{net:02x}:{own:02x}");
+    let asked = setup(dir.path(), &laboratory, &[last]);
     assert_eq!(asked.status.code(), Some(2), "{}", text_of(&asked));
     assert_contains(&text_of(&asked), &["h0_up", "--in-order"]);
-    let asked = setup(dir.path(), 240, &[last, "--in-order"]);
+    let asked = setup(dir.path(), &laboratory, &[last, "--in-order"]);
     assert_eq!(asked.status.code(), Some(2), "{}", text_of(&asked));
     assert_contains(&text_of(&asked), &["wrong subnet", "--yes"]);
     assert_eq!(std::fs::read_to_string(&file).expect("readable"), "");
@@ -87,7 +88,7 @@ fn an_empty_node_file_becomes_a_verified_session_of_four_unlike_cameras() {
     let port =
         std::net::TcpListener::bind("127.0.0.1:0").expect("a port").local_addr().expect("its number").port();
     let listen = format!("--listen=127.0.0.1:{port}");
-    let done = setup(dir.path(), 240, &[last, "--in-order", "--yes", "--json", &listen]);
+    let done = setup(dir.path(), &laboratory, &[last, "--in-order", "--yes", "--json", &listen]);
     assert_eq!(done.status.code(), Some(0), "{}", text_of(&done));
     let text = std::fs::read_to_string(&file).expect("readable");
     println!("{}\n{text}", text_of(&done));
@@ -108,7 +109,7 @@ fn an_empty_node_file_becomes_a_verified_session_of_four_unlike_cameras() {
         let image = read_png_grey(Path::new(picture.as_str().expect("a path"))).expect("a picture");
         assert_eq!((image.width(), image.height()), SIZE);
     }
-    assert_eq!(outcome["cameras"][3]["device"]["place"], "127.0.240.1", "its new address");
+    assert_eq!(outcome["cameras"][3]["device"]["place"], format!("127.0.{net}.1"), "its new address");
 
     let mut node = NodeProcess::start(&file, port);
     node.wait_ready();
@@ -191,11 +192,12 @@ fn a_camera_that_is_held_ends_nothing_for_the_others() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let text = rig_of(20.0, lab::SIZE);
     let one_head = text.split("\n[[head]]\n").take(2).collect::<Vec<_>>().join("\n[[head]]\n");
-    let laboratory = lab::start_laboratory(&options(one_head, dir.path(), 243));
-    let held = AravisCameras.open("127.0.243.11").expect("the other program opens it first");
+    let laboratory = lab::start_laboratory(&options(one_head, dir.path()));
+    let places: Vec<String> = laboratory.cameras.iter().map(|camera| camera.address().to_string()).collect();
+    let held = AravisCameras.open(&places[0]).expect("the other program opens it first");
     let file = dir.path().join("bench.toml");
     std::fs::write(&file, "").expect("writable");
-    let done = setup(dir.path(), 243, &["--json"]);
+    let done = setup(dir.path(), &laboratory, &["--json"]);
     assert_eq!(done.status.code(), Some(5), "{}", text_of(&done));
     assert_contains(
         &text_of(&done),
@@ -207,12 +209,12 @@ fn a_camera_that_is_held_ends_nothing_for_the_others() {
     assert_eq!((of(0, "trigger_line"), of(1, "trigger_line")), (Value::Null, "Line0".into()));
     let config = NodeConfig::load(&file).expect("a whole file");
     let addresses: Vec<&str> = config.cameras.iter().map(|camera| camera.address.as_str()).collect();
-    assert_eq!(addresses, ["127.0.243.11", "127.0.243.12"]);
+    assert_eq!(addresses, places);
     assert_eq!(config.cameras[1].words.trigger_line.as_deref(), Some("Line0"));
     assert_contains(&std::fs::read_to_string(&file).expect("readable"), &["not measured"]);
     // When it is free, the same command does the rest.
     drop(held);
-    let done = setup(dir.path(), 243, &[]);
+    let done = setup(dir.path(), &laboratory, &[]);
     assert_eq!(done.status.code(), Some(0), "{}", text_of(&done));
     let text = std::fs::read_to_string(&file).expect("readable");
     assert!(!text.contains("not measured"), "{text}");
@@ -225,7 +227,7 @@ fn two_cameras_of_a_head_are_told_apart_by_a_covered_lens() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let text = rig_of(20.0, lab::SIZE);
     let one_head = text.split("\n[[head]]\n").take(2).collect::<Vec<_>>().join("\n[[head]]\n");
-    let options = LaboratoryOptions { user_names: false, ..options(one_head, dir.path(), 242) };
+    let options = LaboratoryOptions { user_names: false, ..options(one_head, dir.path()) };
     let mut lenses = Vec::new();
     let (width, height) = lab::SIZE;
     let laboratory = Laboratory::start(&options, |_| {
@@ -241,14 +243,15 @@ fn two_cameras_of_a_head_are_told_apart_by_a_covered_lens() {
         sessions: Some("sessions".into()),
         ..Given::default()
     };
-    let network = Some("127.0.242.0/24".parse().expect("a network"));
+    let network = Some(format!("{}/24", host(options.first_address, 0)).parse().expect("a network"));
     let setup = Options { path: file.clone(), given, claims: Vec::new(), in_order: false, network };
     let mut hands = Hands { lenses, asked: Vec::new() };
     let outcome = set_up(&setup, &mut AravisCameras, &mut hands).expect("set up");
     assert_eq!(outcome.problems, [""; 0]);
     let named: Vec<(&str, &str)> =
         outcome.cameras.iter().map(|camera| (camera.id.as_str(), camera.device.place.as_str())).collect();
-    assert_eq!(named, [("h0_up", "127.0.242.12"), ("h0_low", "127.0.242.11")]);
+    let [upper, lower] = [12, 11].map(|number| host(options.first_address, number).to_string());
+    assert_eq!(named, [("h0_up", upper.as_str()), ("h0_low", lower.as_str())]);
     let known: Vec<Known> = outcome.cameras.iter().map(|camera| camera.named).collect();
     assert_eq!(known, [Known::Covered, Known::ByPulse], "the last one needs no cover");
     assert_eq!(hands.asked, ["cover the lens of h0_up"; 2], "asked again while none is dark");

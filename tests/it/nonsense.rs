@@ -22,9 +22,9 @@ fn first_camera(laboratory: &Laboratory) -> (Box<dyn Camera>, Wishes) {
 }
 
 /// A laboratory whose first camera has these habits.
-fn with_first(dir: &Path, subnet: u8, habits: Habits) -> Laboratory {
+fn with_first(dir: &Path, habits: Habits) -> Laboratory {
     let habits = [("h0_up".to_owned(), habits)].into();
-    start_laboratory(&LaboratoryOptions { habits, ..options(small_rig(20.0), dir, subnet) })
+    start_laboratory(&LaboratoryOptions { habits, ..options(small_rig(20.0), dir) })
 }
 
 /// From the 40th trigger on the state of PTP of one camera is none, and the image of another, which has no clock, has no
@@ -41,7 +41,7 @@ fn a_camera_that_answers_nonsense_is_lost_by_name_and_all_else_is_complete() {
     let options = LaboratoryOptions {
         faults: Some(FaultPlan::parse(plan).expect("a plan")),
         habits: [("h2_up".to_owned(), no_clock)].into(),
-        ..options(small_rig(20.0), dir.path(), 63)
+        ..options(small_rig(20.0), dir.path())
     };
     let laboratory = start_laboratory(&options);
     let of_ptp = laboratory.nodes.iter().find(|node| node.node.as_str() == "a").expect("node a");
@@ -88,7 +88,7 @@ fn a_camera_that_answers_nonsense_is_lost_by_name_and_all_else_is_complete() {
 fn a_value_without_entry_is_set_and_names_of_any_bytes_are_told() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let habits = Habits { no_entry: true, foreign_names: true, ..Habits::default() };
-    let laboratory = with_first(dir.path(), 66, habits);
+    let laboratory = with_first(dir.path(), habits);
     let listed = fourdbody(&["cameras", "--json"]);
     assert_contains(&text_of(&listed), &["Sim23M\u{fffd}"]);
     let (mut camera, wishes) = first_camera(&laboratory);
@@ -118,7 +118,7 @@ fn a_value_without_entry_is_set_and_names_of_any_bytes_are_told() {
 #[test]
 fn test_packets_larger_than_the_camera_says_are_not_asked_for() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = with_first(dir.path(), 67, Habits { packet_max_told: 1500, ..Habits::default() });
+    let laboratory = with_first(dir.path(), Habits { packet_max_told: 1500, ..Habits::default() });
     let (mut camera, _) = first_camera(&laboratory);
     let test = camera.test_packet_size(9000).expect("it answers");
     assert_eq!(test, Some(PacketTest { arrived: 1500, camera_takes: Some(1500) }));
@@ -131,7 +131,7 @@ fn test_packets_larger_than_the_camera_says_are_not_asked_for() {
 #[test]
 fn slow_test_packets_are_no_matter_of_the_network() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = with_first(dir.path(), 65, Habits { test_packet_late_ms: 80, ..Habits::default() });
+    let laboratory = with_first(dir.path(), Habits { test_packet_late_ms: 80, ..Habits::default() });
     let (mut camera, _) = first_camera(&laboratory);
     let test = camera.test_packet_size(9000).expect("it answers");
     assert_eq!(test, Some(PacketTest { arrived: 9000, camera_takes: None }));
@@ -141,7 +141,7 @@ fn slow_test_packets_are_no_matter_of_the_network() {
 #[test]
 fn a_description_may_name_what_is_not_there() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = with_first(dir.path(), 62, Habits { broken_description: true, ..Habits::default() });
+    let laboratory = with_first(dir.path(), Habits { broken_description: true, ..Habits::default() });
     let (mut camera, wishes) = first_camera(&laboratory);
     let state = camera.state().expect("read");
     assert!(state.len() > 40 && !state.contains_key("NotThere"), "{state:?}");

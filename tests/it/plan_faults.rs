@@ -2,14 +2,13 @@
 //! Faults that are named in a plan, against real nodes: a bad serial line, cameras that go and come back, other clients
 //! and foreign packets. The recordings must say of each what happened, and nothing else may be missing.
 
-use crate::lab::{NodeProcess, fourdbody, small_rig, start_laboratory, start_nodes, text_of};
+use crate::lab::{self, NodeProcess, fourdbody, options, small_rig, start_laboratory, start_nodes, text_of};
 use fourdbody::base::ids::TriggerIndex;
 use fourdbody::data::FrameSource;
 use fourdbody::record::{GapCause, SessionReader};
 use fourdbody_simulator::faults::{Accounting, FaultPlan, Kind, Shown, check, read_truth};
 use fourdbody_simulator::gige::{Habits, TestImages};
-use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions, TRUTH_FILE};
-use std::net::Ipv4Addr;
+use fourdbody_simulator::laboratory::{Laboratory, TRUTH_FILE};
 use std::path::{Path, PathBuf};
 use std::process::Output;
 use std::sync::atomic::Ordering::Relaxed;
@@ -22,23 +21,19 @@ struct Run {
 
 impl Run {
     /// A laboratory with this plan, and its nodes; `change` edits their files.
-    fn start(subnet: u8, rate_hz: f64, plan: FaultPlan, change: impl Fn(String) -> String) -> Self {
-        Self::with_habits(subnet, rate_hz, plan, &[], change)
+    fn start(rate_hz: f64, plan: FaultPlan, change: impl Fn(String) -> String) -> Self {
+        Self::with_habits(rate_hz, plan, &[], change)
     }
 
     /// With cameras of these habits.
     fn with_habits(
-        subnet: u8,
         rate_hz: f64,
         plan: FaultPlan,
         habits: &[(&str, Habits)],
         change: impl Fn(String) -> String,
     ) -> Self {
         let dir = tempfile::tempdir().expect("a temporary directory");
-        let mut options = LaboratoryOptions::new(small_rig(rate_hz), dir.path());
-        options.first_address = Ipv4Addr::new(127, 0, subnet, 11);
-        options.first_port = 0;
-        options.reserve_mib = 1;
+        let mut options = options(small_rig(rate_hz), dir.path());
         options.buffers_per_camera = 64;
         options.faults = Some(plan);
         options.habits = habits.iter().map(|(camera, habits)| ((*camera).to_owned(), *habits)).collect();
@@ -61,6 +56,11 @@ impl Run {
 
     fn session(&self) -> PathBuf {
         self.dir.path().join("sessions/session")
+    }
+
+    /// The third number of its cameras' addresses.
+    fn network(&self) -> u8 {
+        self.laboratory.cameras[0].address().octets()[2]
     }
 
     fn accounting(&self) -> Accounting {
@@ -104,7 +104,7 @@ fn gaps(session: &Path, camera: usize) -> Vec<(u64, GapCause)> {
 
 /// What only a host that is too busy makes of a frame: no plan here does.
 fn is_by_host((_, cause): &(u64, GapCause)) -> bool {
-    [GapCause::IdentityMismatch, GapCause::Timeout, GapCause::NodePaused].contains(cause)
+    lab::is_by_host(cause)
 }
 
 #[test]
@@ -114,7 +114,7 @@ fn a_bad_serial_line_costs_no_frame_on_a_host_that_keeps_up() {
         [[hsu.fault]]\nkind = \"link_silent\"\nnode = \"a\"\ntrigger = 60\nms = 4000\n\
         [[hsu.fault]]\nkind = \"link_silent\"\nnode = \"b\"\ntrigger = 250\nms = 100\n\
         [[hsu.fault]]\nkind = \"link_unplugged\"\nnode = \"b\"\ntrigger = 270\nms = 700\n";
-    let mut run = Run::start(150, 40.0, plan(text), |text| text);
+    let mut run = Run::start(40.0, plan(text), |text| text);
     let captured = run.capture(420);
     let session = run.session();
     // While no report came, a busy host may leave cameras without a witness: a hundredth is given up by name then.
@@ -134,7 +134,7 @@ fn a_bad_serial_line_costs_no_frame_on_a_host_that_keeps_up() {
 fn an_hsu_that_restarts_by_plan_ends_the_session_there() {
     let text = "[faults]\nseed = 12\n[faults.probability]\nframe_lost = 0.02\n\
         [[hsu.fault]]\nkind = \"hsu_restart\"\ntrigger = 100\n";
-    let mut run = Run::start(151, 40.0, plan(text), |text| text);
+    let mut run = Run::start(40.0, plan(text), |text| text);
     let captured = run.capture(300);
     assert_eq!(captured.status.code(), Some(3), "{}", text_of(&captured));
     let accounting = run.accounting();
@@ -150,7 +150,7 @@ fn cameras_go_and_come_back_by_plan() {
         [[fault]]\nkind = \"unplugged\"\ncamera = \"h3_up\"\ntrigger = 90\ncount = 4\n\
         [[fault]]\nkind = \"control_taken\"\ncamera = \"h2_up\"\ntrigger = 70\ncount = 140\n\
         [[fault]]\nkind = \"control_taken\"\ncamera = \"h1_low\"\ntrigger = 330\ncount = 400\n";
-    let mut run = Run::start(152, 40.0, plan(text), |text| text);
+    let mut run = Run::start(40.0, plan(text), |text| text);
     let captured = run.capture(400);
     assert_eq!(captured.status.code(), Some(3), "{}", text_of(&captured));
     let session = run.session();
@@ -162,11 +162,15 @@ fn cameras_go_and_come_back_by_plan() {
     let by_host = (0..8).flat_map(|camera| gaps(&session, camera)).filter(is_by_host).count() as u64;
     assert!(accounting.mismatches <= by_host && by_host <= 8 * 400 / 100, "{:#?}", accounting.listed);
     assert_eq!(accounting.outcomes, 8 * 400);
-    assert_eq!((accounting.kinds["unplugged"].right, accounting.kinds["control_taken"].right), (2, 2));
+    // A frame that the host gave up beside one of them is none of its gaps.
+    let [unplugged, taken] = ["unplugged", "control_taken"].map(|kind| &accounting.kinds[kind]);
+    assert_eq!((unplugged.injected, taken.injected), (2, 2));
+    assert!(unplugged.wrong + taken.wrong <= accounting.mismatches, "{unplugged:?} {taken:?}");
     let owned = messages(&session, "camera_owned");
     let of = |network: &str| owned.iter().filter(|message| message.contains(network)).count();
     // The fourth and the fifth camera of the laboratory: the stranger's address ends as theirs.
-    assert!(of("127.254.152.14:") == 1 && of("127.254.152.15:") == 1, "who has it is said, once: {owned:?}");
+    let rogue = |number| format!("127.254.{}.{number}:", run.network());
+    assert!(of(&rogue(14)) == 1 && of(&rogue(15)) == 1, "who has it is said, once: {owned:?}");
     assert_eq!(messages(&session, "camera_back").len(), 3, "the last one was not given back");
     // Back well before the end, and at the right trigger.
     assert!(gaps(&session, 4).iter().filter(|(_, cause)| *cause == GapCause::ControlLost).count() < 280);
@@ -177,12 +181,12 @@ fn a_camera_in_other_hands_ends_the_session_where_that_is_configured() {
     let text = "[faults]\nseed = 14\n\
         [[fault]]\nkind = \"control_taken\"\ncamera = \"h1_up\"\ntrigger = 40\ncount = 400\n";
     let abort = |text: String| text.replace("[acquisition]\n", "[acquisition]\non_camera_lost = \"abort\"\n");
-    let mut run = Run::start(153, 40.0, plan(text), abort);
+    let mut run = Run::start(40.0, plan(text), abort);
     let captured = run.capture(300);
     assert_eq!(captured.status.code(), Some(3), "{}", text_of(&captured));
     let text = text_of(&captured);
     assert!(
-        text.contains("h1_up") && text.contains("127.254.153.13:"),
+        text.contains("h1_up") && text.contains(&format!("127.254.{}.13:", run.network())),
         "which camera, and who has it: {text}"
     );
     let accounting = run.accounting();
@@ -194,7 +198,7 @@ fn a_camera_in_other_hands_ends_the_session_where_that_is_configured() {
 #[test]
 fn a_client_without_control_changes_nothing() {
     let text = "[faults]\nseed = 15\n[faults.probability]\nrogue_client = 0.3\n";
-    let mut run = Run::start(154, 40.0, plan(text), |text| text);
+    let mut run = Run::start(40.0, plan(text), |text| text);
     let captured = run.capture(120);
     assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
     let accounting = run.accounting();
@@ -214,7 +218,7 @@ fn packets_from_others_than_the_camera_change_nothing() {
         foreign_small = 0.01\n\
         [[fault]]\nkind = \"foreign_ahead\"\ncamera = \"h0_up\"\ntrigger = 50\ncount = 30\n\
         [[fault]]\nkind = \"foreign_ahead\"\ncamera = \"h2_low\"\ntrigger = 120\n";
-    let mut run = Run::start(155, 40.0, plan(text), |text| text);
+    let mut run = Run::start(40.0, plan(text), |text| text);
     let captured = run.capture(300);
     assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
     let accounting = run.accounting();
@@ -236,7 +240,7 @@ fn a_camera_that_misses_triggers_keeps_what_it_takes() {
     let late = |triggers| Habits { late_triggers: triggers, ..Habits::default() };
     let habits =
         [("h0_up", Habits { takes_one_in: 2, ..Habits::default() }), ("h0_low", late(5)), ("h1_up", late(9))];
-    let mut run = Run::with_habits(158, 40.0, plan(text), &habits, |text| text);
+    let mut run = Run::with_habits(40.0, plan(text), &habits, |text| text);
     let captured = run.capture(TRIGGERS);
     assert_eq!(captured.status.code(), Some(3), "{}", text_of(&captured));
     let session = run.session();
@@ -276,7 +280,7 @@ fn neighbouring_faults_keep_the_sum_and_the_indices() {
         let mut faults = FaultPlan::mixed(seed, 0.015);
         faults.probability.remove(&Kind::ClockReset);
         faults.clear_triggers = 0;
-        let mut run = Run::start(156, 40.0, faults, |text| text);
+        let mut run = Run::start(40.0, faults, |text| text);
         let captured = run.capture(250);
         assert_eq!(captured.status.code(), Some(3), "{}", text_of(&captured));
         let session = run.session();
@@ -295,7 +299,7 @@ fn neighbouring_faults_keep_the_sum_and_the_indices() {
 /// notices when it wakes, and takes them back into the session.
 #[test]
 fn a_node_that_was_asleep_takes_its_cameras_back() {
-    let mut run = Run::start(157, 20.0, plan("[faults]\nseed = 1\n"), |text| text);
+    let mut run = Run::start(20.0, plan("[faults]\nseed = 1\n"), |text| text);
     let (urls, asleep) = (run.laboratory.urls(), run.nodes[0].pid().to_string());
     let signal = |name: &str| {
         let sent =

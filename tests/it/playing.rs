@@ -263,7 +263,7 @@ fn clients_of_ill_will_and_results_that_are_damaged_are_refused() {
 #[test]
 fn nothing_is_made_while_a_capture_runs_and_another_node_passes_it_on() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = crate::lab::laboratory(dir.path(), 237, 20.0);
+    let laboratory = crate::lab::laboratory(dir.path(), 20.0);
     let results = dir.path().join("results");
     lay_out(&dir.path().join("elsewhere"), &results);
     let file = &laboratory.nodes[0].path;

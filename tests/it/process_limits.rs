@@ -38,7 +38,7 @@ fn a_node_that_has_no_room_for_a_session_does_not_start() {
 #[test]
 fn a_session_that_a_limit_has_no_room_for_is_refused_and_the_node_lives() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 246, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let pid = libc::pid_t::try_from(nodes[0].pid()).expect("a process id");
     let limit = |bytes: u64| {

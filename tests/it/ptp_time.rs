@@ -15,15 +15,14 @@ fn triggers_have_the_ptp_time_that_witnesses_give_them() {
     // PTP is on in all cameras but one, and never sets the clock of another.
     let (off, listens) = ("h0_low", "h2_up");
     let habits = [(listens.to_owned(), Habits { ptp_listens: true, ..Habits::default() })].into();
-    let options = lab::options(lab::small_rig(40.0), dir.path(), 98);
+    let options = lab::options(lab::small_rig(40.0), dir.path());
     let laboratory = lab::start_laboratory(&LaboratoryOptions { habits, ..options });
     for (_, camera) in laboratory.rig.cameras().filter(|(_, camera)| camera.id.as_str() != off) {
         let node = laboratory.nodes.iter().find(|node| node.node == camera.node).expect("its node");
         lab::say(&node.path, camera.id.as_str(), "settings = [[\"PtpEnable\", true]]");
     }
     let _nodes = lab::start_nodes(&laboratory);
-    let captured =
-        fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "120", "--name", "ptp"]);
+    let captured = lab::capture_whole(&laboratory, "ptp", 120, &[]);
     assert!(captured.status.success(), "{}", text_of(&captured));
     let (session, out) = (dir.path().join("sessions/ptp"), dir.path().join("table"));
     let (session, table) = (session.display().to_string(), out.join("timing.csv"));

@@ -27,7 +27,7 @@ fn assert_refused(dir: &Path, nodes: &mut [NodeProcess], output: &Output, code: 
 #[test]
 fn a_missing_camera_is_named_and_a_later_session_works() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let mut laboratory = laboratory(dir.path(), 102, 20.0);
+    let mut laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let number = laboratory.rig.cameras().position(|(_, c)| c.id.as_str() == "h2_low").expect("in the rig");
     drop(laboratory.cameras.remove(number));
@@ -40,9 +40,10 @@ fn a_missing_camera_is_named_and_a_later_session_works() {
 #[test]
 fn a_camera_of_another_program_is_recognized() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 103, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     use fourdbody::camera::{AravisCameras, CameraBackend};
-    let other = AravisCameras.open("127.0.103.12").expect("the other program opens it first");
+    let address = laboratory.cameras[1].address().to_string();
+    let other = AravisCameras.open(&address).expect("the other program opens it first");
     let mut nodes: Vec<NodeProcess> =
         laboratory.nodes.iter().map(|node| NodeProcess::start(&node.path, node.port)).collect();
     nodes[0].wait_until("one camera owned", |status| {
@@ -55,7 +56,7 @@ fn a_camera_of_another_program_is_recognized() {
         &mut nodes,
         &output,
         5,
-        &["h0_low", "127.0.103.12", "controlled by another program"],
+        &["h0_low", &address, "controlled by another program"],
     );
     drop(other);
     let output = capture(&laboratory, "5");
@@ -66,7 +67,7 @@ fn a_camera_of_another_program_is_recognized() {
 #[test]
 fn an_hsu_that_does_not_answer_is_told() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 104, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     laboratory.hsu.set_unresponsive(true);
     let output = capture(&laboratory, "5");
@@ -81,7 +82,7 @@ fn an_hsu_that_does_not_answer_is_told() {
 #[test]
 fn a_disk_that_cannot_hold_the_session_refuses_it() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let options = options(small_rig(20.0), dir.path(), 105);
+    let options = options(small_rig(20.0), dir.path());
     let laboratory = start_laboratory(&LaboratoryOptions { reserve_mib: 1 << 30, ..options });
     let mut nodes = start_nodes(&laboratory);
     let output = capture(&laboratory, "5");

@@ -7,7 +7,7 @@ use std::process::Command;
 #[test]
 fn a_page_tells_what_is_missing_and_shows_every_camera() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let mut laboratory = laboratory(dir.path(), 177, 20.0);
+    let mut laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let mut capture = start_capture(&laboratory, "gaps");
     let reached = |triggers: u64| {

@@ -68,7 +68,7 @@ impl Drop for Service {
 #[test]
 fn a_node_is_ready_when_its_devices_are_and_stops_in_good_order() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let mut laboratory = laboratory(dir.path(), 176, 20.0);
+    let mut laboratory = laboratory(dir.path(), 20.0);
     laboratory.unplug(1);
     let mut service = Service::start(&laboratory.nodes[0].path, dir.path());
     service.wait("STATUS=not ready");

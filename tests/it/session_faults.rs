@@ -3,8 +3,8 @@
 //! goes on at the right trigger.
 
 use crate::lab::{
-    NodeProcess, WORDS, fourdbody, laboratory, laboratory_of, options, small_rig, start_capture,
-    start_laboratory, start_nodes, text_of,
+    NodeProcess, WORDS, capture_whole, fourdbody, laboratory, laboratory_of, options, small_rig,
+    start_capture, start_laboratory, start_nodes, text_of,
 };
 use fourdbody::base::ids::TriggerIndex;
 use fourdbody::data::FrameSource;
@@ -65,7 +65,7 @@ fn events(session: &Path, kind: &str) -> usize {
 #[test]
 fn cameras_that_are_unplugged_come_back_into_the_session() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let mut laboratory = laboratory(dir.path(), 140, 20.0);
+    let mut laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let capture = start_capture(&laboratory, "unplugged");
     wait_triggers(&mut nodes[0], 10);
@@ -107,7 +107,7 @@ fn cameras_that_are_unplugged_come_back_into_the_session() {
 #[test]
 fn a_lost_camera_ends_the_session_where_that_is_configured() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let mut laboratory = laboratory(dir.path(), 141, 20.0);
+    let mut laboratory = laboratory(dir.path(), 20.0);
     for node in &laboratory.nodes {
         let text = std::fs::read_to_string(&node.path).expect("written by the laboratory");
         let text = text.replace("[acquisition]\n", "[acquisition]\non_camera_lost = \"abort\"\n");
@@ -132,7 +132,7 @@ fn a_lost_camera_ends_the_session_where_that_is_configured() {
 #[test]
 fn a_camera_lost_at_the_very_end_is_named() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let mut laboratory = laboratory_of(dir.path(), 148, 100.0, (64, 48), 1);
+    let mut laboratory = laboratory_of(dir.path(), 100.0, (64, 48), 1);
     let mut nodes = start_nodes(&laboratory);
     let capture = start_capture(&laboratory, "at-the-end");
     wait_triggers(&mut nodes[0], 10);
@@ -146,7 +146,7 @@ fn a_camera_lost_at_the_very_end_is_named() {
 #[test]
 fn a_link_that_is_lost_on_one_node_is_taken_up_again() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 142, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let capture = start_capture(&laboratory, "relinked");
     wait_triggers(&mut nodes[0], 10);
@@ -174,7 +174,7 @@ fn a_link_that_is_lost_on_one_node_is_taken_up_again() {
 #[test]
 fn a_lost_link_ends_the_session_where_that_is_configured() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 147, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let path = &laboratory.nodes[1].path;
     let text = std::fs::read_to_string(path).expect("written by the laboratory");
     let text = text.replace("[acquisition]\n", "[acquisition]\non_link_lost = \"abort\"\n");
@@ -195,7 +195,7 @@ fn a_lost_link_ends_the_session_where_that_is_configured() {
 #[test]
 fn an_hsu_that_restarts_ends_the_session_with_what_was_recorded() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 143, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let capture = start_capture(&laboratory, "restarted");
     wait_triggers(&mut nodes[0], 10);
@@ -208,14 +208,14 @@ fn an_hsu_that_restarts_ends_the_session_with_what_was_recorded() {
     assert!(check_frames(&session).iter().all(|gaps| gaps.len() <= 2));
     // The next session works.
     nodes.iter_mut().for_each(|node| drop(node.wait_ready()));
-    let next = fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "5", "--name", "next"]);
+    let next = capture_whole(&laboratory, "next", 5, &[]);
     assert_eq!(next.status.code(), Some(0), "{}", text_of(&next));
 }
 
 #[test]
 fn a_camera_that_runs_by_itself_is_refused() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 144, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let path = &laboratory.nodes[0].path;
     let text = std::fs::read_to_string(path).expect("written by the laboratory");
     // The first camera of the file.
@@ -238,7 +238,7 @@ fn signal(node: &NodeProcess, signal: libc::c_int) {
 #[test]
 fn a_node_that_stood_still_gives_up_whole_frame_sets() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 194, 50.0);
+    let laboratory = laboratory(dir.path(), 50.0);
     let mut nodes = start_nodes(&laboratory);
     let capture = start_capture(&laboratory, "paused");
     wait_triggers(&mut nodes[0], 20);
@@ -264,7 +264,7 @@ fn a_node_that_stood_still_gives_up_whole_frame_sets() {
 fn a_node_that_stood_still_before_trigger_0_says_so_and_gives_up_whole_frame_sets() {
     let dir = tempfile::tempdir().expect("a temporary directory");
     let rig = small_rig(50.0).replace("warm_up_triggers = 8 ", "warm_up_triggers = 40 ");
-    let laboratory = start_laboratory(&options(rig, dir.path(), 208));
+    let laboratory = start_laboratory(&options(rig, dir.path()));
     let mut nodes = start_nodes(&laboratory);
     let capture = start_capture(&laboratory, "early");
     while laboratory.hsu.fired() < 20 {
@@ -296,7 +296,7 @@ fn a_node_that_stood_still_before_trigger_0_says_so_and_gives_up_whole_frame_set
 #[test]
 fn what_a_stalled_node_had_written_is_told() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 195, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let capture = start_capture(&laboratory, "stalled");
     wait_triggers(&mut nodes[1], 10);
@@ -311,7 +311,7 @@ fn what_a_stalled_node_had_written_is_told() {
 #[test]
 fn a_limit_on_file_sizes_is_not_a_full_disk() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 196, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let capture = start_capture(&laboratory, "limited");
     wait_triggers(&mut nodes[0], 5);

@@ -11,8 +11,6 @@ use std::net::UdpSocket;
 use std::process::Output;
 use std::time::Duration;
 
-const SUBNET: u8 = 206;
-
 /// The port that a camera would send its stream to, by its bootstrap registers.
 fn host_port(camera: &str) -> u32 {
     const READ_HOST_PORT: [u8; 12] = [0x42, 1, 0, 0x80, 0, 4, 0, 1, 0, 0, 0x0d, 0];
@@ -48,7 +46,7 @@ fn one_stray_frame_is_left_out_by_name_and_a_camera_that_goes_on_sending_refuses
     ];
     let options = LaboratoryOptions {
         habits: habits.into_iter().map(|(camera, habits)| (camera.to_owned(), habits)).collect(),
-        ..options(small_rig(40.0), dir.path(), SUBNET)
+        ..options(small_rig(40.0), dir.path())
     };
     let laboratory: Laboratory = start_laboratory(&options);
     let mut nodes = start_nodes(&laboratory);
@@ -74,7 +72,7 @@ fn one_stray_frame_is_left_out_by_name_and_a_camera_that_goes_on_sending_refuses
     let first = capture(&urls, "first", &[]);
     sound("first", &first);
     nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
-    let address = format!("127.0.{SUBNET}.11");
+    let address = laboratory.cameras[0].address().to_string();
     assert_eq!(host_port(&address), 0, "nobody takes what the camera has left over");
 
     let node_a = urls.split(',').next().expect("two nodes");

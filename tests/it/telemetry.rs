@@ -28,7 +28,7 @@ fn grades(client: &NodeClient) -> Vec<(String, Grade)> {
 #[test]
 fn what_is_counted_is_what_was_recorded() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let mut laboratory = laboratory(dir.path(), 160, 20.0);
+    let mut laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let client = nodes[0].client.clone();
     let before: Settings = client.get(path::SETTINGS).expect("settings");

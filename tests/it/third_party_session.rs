@@ -2,7 +2,7 @@
 //! A whole session of both nodes, looked at by others: `tshark` dissects its traffic, the Python package
 //! `mcap` reads its recordings and a sequence of clouds.
 
-use crate::lab::{SIZE, fourdbody, laboratory, start_nodes, text_of};
+use crate::lab::{SIZE, fourdbody, host, laboratory, start_nodes, text_of};
 use crate::third_party_mcap::python;
 use fourdbody::data::Cloud;
 use fourdbody::formats::sequence::SequenceWriter;
@@ -12,7 +12,6 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 const TRIGGERS: u64 = 6;
-const NETWORK: &str = "127.0.134.0/24";
 
 /// A capture of all that goes to and from these addresses on the loopback interface.
 struct Tshark {
@@ -129,8 +128,9 @@ fn assert_dissects(capture: &Path, network: &str) {
 #[test]
 fn a_session_dissects_without_a_malformed_packet_and_reads_back_in_python() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 134, 10.0);
-    let tshark = Tshark::start(dir.path(), NETWORK);
+    let laboratory = laboratory(dir.path(), 10.0);
+    let network = format!("{}/24", host(laboratory.cameras[0].address(), 0));
+    let tshark = Tshark::start(dir.path(), &network);
     let mut nodes = start_nodes(&laboratory);
     let captured = fourdbody(&[
         "capture",
@@ -145,7 +145,7 @@ fn a_session_dissects_without_a_malformed_packet_and_reads_back_in_python() {
     nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
     drop(nodes);
     if let Some(tshark) = tshark {
-        assert_dissects(&tshark.stop(), NETWORK);
+        assert_dissects(&tshark.stop(), &network);
     }
     let Some(python) = python() else {
         println!("skipped: no Python with the `mcap` package (`make test` installs it into tests/.venv)");

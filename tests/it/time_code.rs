@@ -21,8 +21,8 @@ fn source(text: &str) -> LtcSource {
     text.parse().expect("a source")
 }
 
-fn laboratory(dir: &Path, subnet: u8, ltc: Option<LtcSource>) -> Laboratory {
-    let options = lab::options(lab::small_rig(RATE_HZ), dir, subnet);
+fn laboratory(dir: &Path, ltc: Option<LtcSource>) -> Laboratory {
+    let options = lab::options(lab::small_rig(RATE_HZ), dir);
     lab::start_laboratory(&LaboratoryOptions { time_code_input: Some(3), ltc, ..options })
 }
 
@@ -59,7 +59,7 @@ fn frames_off(exported: &str, (code, fraction): (TimeCode, f64), per_second: u8)
 #[test]
 fn every_trigger_has_the_code_that_was_played_or_none() {
     let dir = tempfile::tempdir().expect("a directory");
-    let laboratory = laboratory(dir.path(), 232, None);
+    let laboratory = laboratory(dir.path(), None);
     let mut nodes = lab::start_nodes(&laboratory);
     let capture = Command::new(lab::FOURDBODY)
         .args(["capture", "--nodes", &laboratory.urls(), "--name", "scored", "--json"])
@@ -133,7 +133,7 @@ fn every_trigger_has_the_code_that_was_played_or_none() {
 
     // A session in silence says so, and a session that time code would start is refused.
     let next = ["capture", "--nodes", &laboratory.urls(), "--triggers", "5", "--name"];
-    let silent = fourdbody(&[&next[..], &["silent"]].concat());
+    let silent = lab::capture_whole(&laboratory, "silent", 5, &[]);
     assert!(silent.status.success(), "{}", text_of(&silent));
     assert_contains(&text_of(&silent), &["no time code came on input 3"]);
     let status = fourdbody(&["status", "--nodes", &laboratory.urls()]);
@@ -158,7 +158,7 @@ fn every_trigger_has_the_code_that_was_played_or_none() {
 fn nodes_that_name_different_inputs_are_told_and_the_session_has_one_of_them() {
     let dir = tempfile::tempdir().expect("a directory");
     // 29.97 frames a second, at the minute where two numbers are left out.
-    let laboratory = laboratory(dir.path(), 97, Some(source("3:17:58:58;00@29.97")));
+    let laboratory = laboratory(dir.path(), Some(source("3:17:58:58;00@29.97")));
     let other = &laboratory.nodes[1].path;
     let text = std::fs::read_to_string(other).expect("a node file");
     std::fs::write(other, text.replace("time_code_input = 3", "time_code_input = 8")).expect("writable");
@@ -168,8 +168,7 @@ fn nodes_that_name_different_inputs_are_told_and_the_session_has_one_of_them() {
     std::fs::write(other, text.replace("time_code_input = 3", "time_code_input = 4")).expect("writable");
 
     let _nodes = lab::start_nodes(&laboratory);
-    let captured =
-        fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "80", "--name", "both"]);
+    let captured = lab::capture_whole(&laboratory, "both", 80, &[]);
     assert!(captured.status.success(), "{}", text_of(&captured));
     let session = dir.path().join("sessions/both");
     let reader = SessionReader::open(&session).expect("a session");

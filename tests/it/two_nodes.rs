@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Captures that a node runs for both, and what becomes of a session when the other node dies (docs/design/operation.md).
 
-use crate::lab::{NodeProcess, assert_contains, fourdbody, laboratory, start_nodes, text_of};
+use crate::lab::{NodeProcess, assert_contains, capture_whole, fourdbody, laboratory, start_nodes, text_of};
 use fourdbody::control::client::NodeClient;
 use fourdbody::control::request::Phase;
 use fourdbody::control::status::{AbortReason, Outcome, path};
@@ -57,14 +57,14 @@ fn restart(laboratory: &Laboratory, place: usize) -> NodeProcess {
 
 /// A session as any other, from the command line.
 fn the_next_session_works(laboratory: &Laboratory, name: &str) {
-    let captured = fourdbody(&["capture", "--nodes", &laboratory.urls(), "--triggers", "6", "--name", name]);
+    let captured = capture_whole(laboratory, name, 6, &[]);
     assert_eq!(captured.status.code(), Some(0), "{}", text_of(&captured));
 }
 
 #[test]
 fn half_a_rig_is_asked_for_by_name_and_is_never_called_complete() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 219, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let url = nodes[0].client.url().to_owned();
     let mut capture = |name: &str, options: &[&str]| {
@@ -102,7 +102,7 @@ fn half_a_rig_is_asked_for_by_name_and_is_never_called_complete() {
 #[test]
 fn a_node_runs_takes_and_dry_runs_for_whoever_asks() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 172, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     let [a, b] = &mut nodes[..] else { panic!("two nodes") };
     let client = &b.client;
@@ -179,7 +179,7 @@ fn a_stop_before_take_two(client: &NodeClient) {
 #[test]
 fn a_countdown_can_be_stopped_and_a_session_aborted_at_any_node() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 173, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     begin(&nodes[0].client, &json!({ "wish": { "name": "early", "countdown_s": 60 } }));
     capture_that(&nodes[0].client, "counting", |state| state["stage"]["stage"] == "counting_down");
@@ -210,7 +210,7 @@ fn a_countdown_can_be_stopped_and_a_session_aborted_at_any_node() {
 #[test]
 fn a_node_that_was_restarted_ends_the_session_of_the_other() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 174, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     begin(&nodes[0].client, &json!({ "wish": { "name": "broken" } }));
     recording(&nodes[0].client);
@@ -233,7 +233,7 @@ fn a_node_that_was_restarted_ends_the_session_of_the_other() {
 #[test]
 fn a_node_that_stays_dead_ends_the_session_of_the_other() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = laboratory(dir.path(), 175, 20.0);
+    let laboratory = laboratory(dir.path(), 20.0);
     let mut nodes = start_nodes(&laboratory);
     begin(&nodes[0].client, &json!({ "wish": { "name": "broken" } }));
     recording(&nodes[0].client);

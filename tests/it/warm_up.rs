@@ -13,7 +13,7 @@ fn a_camera_that_sleeps_through_the_warm_up_is_named_at_once_and_ends_the_sessio
     let asleep = Habits { late_triggers: u32::MAX, ..Habits::default() };
     let options = LaboratoryOptions {
         habits: [("h0_up".to_owned(), asleep)].into(),
-        ..options(small_rig(40.0), dir.path(), 207)
+        ..options(small_rig(40.0), dir.path())
     };
     let laboratory = start_laboratory(&options);
     let file = &laboratory.nodes[0].path;

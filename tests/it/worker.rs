@@ -235,7 +235,7 @@ fn a_worker_that_is_killed_ten_times_gives_the_bytes_of_one_run() {
 #[test]
 fn a_capture_comes_first_and_the_worker_resumes() {
     let dir = tempfile::tempdir().expect("a temporary directory");
-    let laboratory = crate::lab::laboratory(dir.path(), 214, 20.0);
+    let laboratory = crate::lab::laboratory(dir.path(), 20.0);
     // Work for much longer than a capture takes to begin.
     let place = Place::with(60);
     let node = &laboratory.nodes[0].path;

@@ -171,36 +171,41 @@ impl Verdict {
     }
 }
 
+impl Verdict {
+    /// Every reason beside gaps and an abort that keeps the session from being complete, a sentence each.
+    pub fn remarks(&self) -> Vec<String> {
+        let mut remarks = Vec::new();
+        let triggers = self.triggers;
+        match (self.triggers_expected, self.triggers_emitted) {
+            (Some(n), _) if n != triggers => remarks.push(format!("{n} triggers were requested")),
+            (_, None) => remarks.push("the HSU's count is missing".to_owned()),
+            (_, Some(n)) if n != triggers => remarks.push(format!("the HSU counted {n} triggers")),
+            _ => {}
+        }
+        if self.untimed > 0 {
+            remarks.push(format!("the times of {} triggers are lost", self.untimed));
+        }
+        if self.refused > 0 {
+            remarks.push(format!("{} outcomes refused", self.refused));
+        }
+        if self.unconfirmed > 0 {
+            let cameras = self.unconfirmed;
+            let reason = "the trigger of some frames is not proven: one source alone names it";
+            remarks.push(format!("of {cameras} cameras {reason}"));
+        }
+        remarks.extend(self.changed.iter().map(|line| format!("settings changed while it ran: {line}")));
+        let apart = self.not_simultaneous.iter();
+        remarks.extend(apart.map(|line| format!("not simultaneous with the others: {line}")));
+        remarks
+    }
+}
+
 impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let word = self.status.word();
         let (triggers, frames, gaps) = (self.triggers, self.frames(), self.gaps());
         write!(f, "{word}: {triggers} triggers, {frames} frames, {gaps} gaps")?;
-        match (self.triggers_expected, self.triggers_emitted) {
-            (Some(n), _) if n != triggers => write!(f, " ({n} triggers were requested)")?,
-            (_, None) => write!(f, " (the HSU's count is missing)")?,
-            (_, Some(n)) if n != triggers => write!(f, " (the HSU counted {n})")?,
-            _ => {}
-        }
-        if self.untimed > 0 {
-            write!(f, "; the times of {} triggers are lost", self.untimed)?;
-        }
-        if self.refused > 0 {
-            write!(f, "; {} outcomes refused", self.refused)?;
-        }
-        if self.unconfirmed > 0 {
-            let cameras = self.unconfirmed;
-            write!(
-                f,
-                "; of {cameras} cameras the trigger of some frames is not proven: one source alone names it"
-            )?;
-        }
-        if !self.changed.is_empty() {
-            write!(f, "; settings changed while it ran: {}", self.changed.join("; "))?;
-        }
-        if !self.not_simultaneous.is_empty() {
-            write!(f, "; not simultaneous with the others: {}", self.not_simultaneous.join("; "))?;
-        }
+        self.remarks().iter().try_for_each(|remark| write!(f, "; {remark}"))?;
         if let Some(reason) = &self.aborted {
             write!(f, "; {reason}")?;
         }

@@ -7,7 +7,7 @@
 use super::bench::{Bench, Judged, Prepared, python};
 use super::{CAMERAS, EXPOSURE_US, End, RATE_HZ, SIZE, TRIGGERS};
 use super::{figures, in_doubt, is_helpful, judge, wishes, write_summary};
-use crate::lab::{fourdbody, options, rig_of, say, start, start_nodes, text_of};
+use crate::lab::{fourdbody, host, options, own_network, rig_of, say, start, start_nodes, text_of};
 use fourdbody::camera::{AravisCameras, CameraBackend, CameraError, Wishes};
 use fourdbody::config::{Mosaic, Pixel};
 use fourdbody::data::FrameSource;
@@ -193,7 +193,7 @@ fn note(cases: &mut Vec<Case>, description: &str, state: &str, make: &str, (end,
     cases.push(Case { description, state, make, end, judged });
 }
 
-fn run_description(python: &Path, file: &Path, number: u8, cases: &mut Vec<Case>) -> Option<Ready> {
+fn run_description(python: &Path, file: &Path, address: Ipv4Addr, cases: &mut Vec<Case>) -> Option<Ready> {
     let description = file.file_name().expect("a name").to_string_lossy().into_owned();
     let (mut bench, prepared) = match Bench::open(python, file) {
         Ok(opened) => opened,
@@ -216,7 +216,6 @@ fn run_description(python: &Path, file: &Path, number: u8, cases: &mut Vec<Case>
         prepared.left.last().map(|left| ("everything, and delivered", (left.memory.as_slice(), Some(new))));
     let mut is_ready = false;
     for (state, words) in [(NEW, (new, Some(new)))].into_iter().chain(left).chain(all) {
-        let address = Ipv4Addr::new(127, 0, 220, 1 + number);
         let (end, judged) = run_state(&mut bench, &described, &prepared, words, address);
         is_ready |= state == NEW && end == End::Right;
         if state == NEW && is_own() {
@@ -274,14 +273,15 @@ fn working(judged: &Judged, line: Option<&str>) -> Settings {
 }
 
 /// A session of up to eight of them, that work as their registers say after a set-up alone.
-fn record(group: &mut [Ready], subnet: u8) -> Vec<(End, bool)> {
+fn record(group: &mut [Ready]) -> Vec<(End, bool)> {
     let dir = tempfile::tempdir().expect("a temporary directory");
+    let mut options = options(rig_of(RATE_HZ, SIZE), dir.path());
     let mut formats = Vec::new();
     for (number, ready) in (1..).zip(group.iter_mut()) {
         let Ready { bench, described, prepared, .. } = ready;
         let (new, line) = (&prepared.memory, prepared.line.as_deref());
         described.set(prepared.facts.clone(), new.clone(), Some(new.clone()));
-        do_alone(Step::SetUp, described, Ipv4Addr::new(127, 0, 219, number), &wishes(line))
+        do_alone(Step::SetUp, described, host(options.first_address, 100 + number), &wishes(line))
             .map_err(|end| format!("{end:?}"))
             .expect("as it could be before");
         let judged = bench.judge(described, line, None).expect("as it could be before");
@@ -290,7 +290,6 @@ fn record(group: &mut [Ready], subnet: u8) -> Vec<(End, bool)> {
         formats.push(format_of(&judged).unwrap_or("Mono8").to_lowercase());
     }
     let named = || CAMERAS.iter().zip(group.iter());
-    let mut options = options(rig_of(RATE_HZ, SIZE), dir.path(), subnet);
     options.described = named().map(|(id, ready)| ((*id).to_owned(), Arc::clone(&ready.described))).collect();
     let laboratory = start(&options, SIZE);
     for (place, (id, ready)) in named().enumerate() {
@@ -366,15 +365,17 @@ fn table(cases: &[Case]) -> String {
 fn published_descriptions_are_set_right_by_another_implementation() {
     let Some(python) = python() else { return };
     let mut cases = Vec::new();
-    let files: Vec<(u8, PathBuf)> = (0u8..250).cycle().zip(descriptions()).collect();
-    for (number, files) in files.chunks(8).enumerate() {
-        let tried =
-            files.iter().filter_map(|(number, file)| run_description(&python, file, *number, &mut cases));
+    let network = own_network();
+    let files: Vec<(u8, PathBuf)> = (0u8..240).cycle().zip(descriptions()).collect();
+    for files in files.chunks(8) {
+        let tried = files.iter().filter_map(|(number, file)| {
+            run_description(&python, file, host(network, 1 + number), &mut cases)
+        });
         let mut ready: Vec<Ready> = tried.collect();
         if ready.is_empty() {
             continue;
         }
-        let recorded = catch_unwind(AssertUnwindSafe(|| record(&mut ready, 242 + (number % 4) as u8)));
+        let recorded = catch_unwind(AssertUnwindSafe(|| record(&mut ready)));
         let crashed = |panic: Box<dyn std::any::Any + Send>| {
             let words: String = words_of(&*panic).chars().take(200).collect();
             ready.iter().map(|_| (End::Crashed(format!("one of a session: {words}")), false)).collect()

@@ -27,6 +27,8 @@ pub(crate) struct Span {
     /// What was decided when Record was pressed.
     keep: Option<KeepRequest>,
     informed: Vec<bool>,
+    /// Stop was pressed, and the nodes have not been asked since how many triggers there are.
+    stop_pressed: bool,
     /// The train is stopped when this many triggers are recorded.
     stop_at: Option<u64>,
 }
@@ -43,7 +45,16 @@ impl Span {
         let before = triggers_of("before Record", wish.pre_trigger_s, rate_hz)?;
         let after_stop = triggers_of("after Stop", wish.post_trigger_s, rate_hz)?;
         let informed = vec![false; nodes];
-        Ok(Self { session_id, before, behind, after_stop, keep: None, informed, stop_at: None })
+        Ok(Self {
+            session_id,
+            before,
+            behind,
+            after_stop,
+            keep: None,
+            informed,
+            stop_pressed: false,
+            stop_at: None,
+        })
     }
 
     /// Record was pressed, or need not be.
@@ -51,14 +62,19 @@ impl Span {
         self.before == 0 || self.keep.is_some()
     }
 
-    /// Whether the train is to be stopped now. `requested`: the operator pressed Stop, once or again.
+    /// Whether the train is to be stopped now. `requested`: the operator pressed Stop, once or again. `recorded`: how many
+    /// triggers the nodes knew of in the round before. The seconds after Stop are counted from what they know afterwards,
+    /// so that none of them is one from before Stop.
     pub(crate) fn stops(&mut self, requested: bool, recorded: u64) -> bool {
+        if std::mem::take(&mut self.stop_pressed) {
+            self.stop_at = Some(recorded + self.after_stop);
+        }
         if requested {
             let waits = self.stop_at.is_none() && self.records() && recorded > 0;
             if !waits || self.after_stop == 0 {
                 return true;
             }
-            self.stop_at = Some(recorded + self.after_stop);
+            self.stop_pressed = true;
         }
         self.stop_at.into_iter().chain(self.total()).min().is_some_and(|end| recorded >= end)
     }
@@ -148,7 +164,8 @@ mod tests {
         let mut stopped = span(0.0, 1.0, 0);
         assert!(stopped.records() && !stopped.stops(false, 5000));
         assert!(!stopped.stops(true, 5000), "a second more");
-        assert!(!stopped.stops(false, 5099) && stopped.stops(false, 5100));
+        assert!(!stopped.stops(false, 5020), "20 triggers were on their way when it was pressed");
+        assert!(!stopped.stops(false, 5119) && stopped.stops(false, 5120));
         assert!(span(0.0, 1.0, 0).stops(true, 0), "nothing was recorded yet");
         let mut twice = span(0.0, 1.0, 0);
         assert!(!twice.stops(true, 10) && twice.stops(true, 11), "whoever stops again does not want to wait");

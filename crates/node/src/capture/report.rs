@@ -47,8 +47,8 @@ impl Captured {
                 Some(Outcome::Recorded(verdict)) => lines.extend(camera_lines(verdict)),
                 _ => lines.extend(last_heard(session, self.dry_run)),
             }
-            let doubts = session.outcome.as_ref().map(Outcome::doubts).unwrap_or_default();
-            lines.extend(doubts.iter().map(|doubt| format!("    {}", one_line(doubt))));
+            let remarks = session.outcome.as_ref().map(Outcome::remarks).unwrap_or_default();
+            lines.extend(remarks.iter().map(|remark| format!("    {}", one_line(remark))));
             lines.extend(session.notices.iter().map(|notice| format!("    {notice}")));
             if let Some(reason) = ended_early(session) {
                 lines.push(format!("    ended early: {reason}"));
@@ -210,14 +210,15 @@ mod tests {
     fn what_is_in_doubt_is_printed_behind_the_cameras() {
         let mut session = captured(&["unconfirmed"], &[]);
         session.nodes[0].1.outcome = Some(Outcome::Recorded(serde_json::json!({
-            "status": "unconfirmed",
-            "cameras": [{ "camera": "h0_up", "frames": 20, "gaps": {} }],
+            "status": "unconfirmed", "triggers": 20, "triggers_expected": 20, "triggers_emitted": 20,
+            "cameras": [{ "camera": "h0_up", "frames": 20, "gaps": {} }], "refused": 0, "untimed": 2, "aborted": null,
             "changed": ["h0_up: Gain was 0, is 6"],
             "not_simultaneous": ["h0_up, triggers 3 to 7: it came late"],
         })));
         let lines = session.lines();
-        assert_eq!(lines[3], "    settings changed while it ran: h0_up: Gain was 0, is 6");
-        assert_eq!(lines[4], "    not simultaneous with the others: h0_up, triggers 3 to 7: it came late");
+        assert_eq!(lines[3], "    the times of 2 triggers are lost", "without a gap nothing else shows why");
+        assert_eq!(lines[4], "    settings changed while it ran: h0_up: Gain was 0, is 6");
+        assert_eq!(lines[5], "    not simultaneous with the others: h0_up, triggers 3 to 7: it came late");
     }
 
     #[test]

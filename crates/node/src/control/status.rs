@@ -8,7 +8,7 @@ use crate::base::histogram::Latency;
 use crate::base::ids::{CameraId, NodeId};
 use crate::camera::{AppliedSetting, CameraIdentity};
 use crate::config::{FeatureSetting, OnLoss, SocketMode, WhenFull};
-use crate::record::Interrupted;
+use crate::record::{Interrupted, Verdict};
 use crate::telemetry::{Family, Judgement};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -302,16 +302,11 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// What is in doubt although every frame is there, a line each: settings that changed, exposures apart.
-    pub fn doubts(&self) -> Vec<String> {
+    /// What keeps the recording from being complete, beside its cameras' gaps: a line each.
+    pub fn remarks(&self) -> Vec<String> {
         let Self::Recorded(verdict) = self else { return Vec::new() };
-        let lines = |key: &str, what: &str| -> Vec<String> {
-            let lines = verdict[key].as_array().into_iter().flatten().filter_map(|line| line.as_str());
-            lines.map(|line| format!("{what}: {line}")).collect()
-        };
-        let mut doubts = lines("changed", "settings changed while it ran");
-        doubts.extend(lines("not_simultaneous", "not simultaneous with the others"));
-        doubts
+        // A verdict of a later version may have words that this one does not know.
+        Verdict::deserialize(verdict).map(|verdict| verdict.remarks()).unwrap_or_default()
     }
 }
 
