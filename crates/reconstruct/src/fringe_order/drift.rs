@@ -42,15 +42,16 @@ const ROUNDS: usize = 6;
 /// of the calibrations made whose devices have turned (lots 1 to 4 of `make light`, *drift*), three times a good one's.
 const MOST_RAD: f32 = 0.1;
 
-/// The same for the scale of single places about that, rad.
-const MOST_SCATTER_RAD: f32 = 0.2;
+/// Where single places are further off that in the median of a neighbourhood, it is refused, rad
+/// ([`super::contradictions`]): half as much refuses a hundredth of squat and tattoo, too.
+const MOST_SCATTER_RAD: f32 = 0.4;
 
 /// By how much two cameras may differ where both see one surface.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MostDifference {
     /// Most difference in the middle of what both see, rad: beyond, devices have turned.
     pub everywhere_rad: f32,
-    /// Most scale of single places about the fitted plane, rad.
+    /// Most scale of single places about the fitted plane, rad: places that scatter more are refused.
     pub scatter_rad: f32,
 }
 
@@ -89,23 +90,20 @@ impl Differences {
 #[derive(Debug, Clone, Copy, Default)]
 struct Pool {
     places: f32,
-    /// Sums over the places of all pairs.
+    /// The sum over the places of all pairs.
     middle: f32,
-    scale: f32,
 }
 
 impl Pool {
-    fn add(&mut self, places: u32, middle: f32, scale: f32) {
+    fn add(&mut self, places: u32, middle: f32) {
         let places = places as f32;
         self.places += places;
         self.middle += places * middle.abs();
-        self.scale += places * scale;
     }
 
-    /// Mean difference in the middle of what both see, and mean scale about it, rad; 0 where too few places tell.
-    fn means(&self) -> [f32; 2] {
-        let known = self.places >= POOL_PLACES;
-        [self.middle, self.scale].map(|sum| if known { sum / self.places } else { 0.0 })
+    /// Mean difference in the middle of what both see, rad; 0 where too few places tell.
+    fn mean(&self) -> f32 {
+        if self.places >= POOL_PLACES { self.middle / self.places } else { 0.0 }
     }
 }
 
@@ -125,11 +123,10 @@ impl Agreement {
     fn of_heads(differences: &[Vec<Differences>], one_head: impl Fn(usize, usize) -> bool) -> Self {
         let mut pools = vec![[Pool::default(); 2]; differences.len()];
         for (view, blocks) in differences.iter().enumerate() {
-            let lanes =
-                blocks.iter().flat_map(|x| (0..LANES).map(move |i| (x.places[i], x.middle[i], x.scale[i])));
-            for (camera, (places, middle, scale)) in lanes.enumerate().filter(|x| x.1.0 > 0) {
+            let lanes = blocks.iter().flat_map(|x| x.places.into_iter().zip(x.middle));
+            for (camera, (places, middle)) in lanes.enumerate().filter(|x| x.1.0 > 0) {
                 for i in [view, camera] {
-                    pools[i][usize::from(!one_head(view, camera))].add(places, middle, scale);
+                    pools[i][usize::from(!one_head(view, camera))].add(places, middle);
                 }
             }
         }
@@ -139,7 +136,7 @@ impl Agreement {
     /// By how much each camera differs from the others, rad: from those of its head or of other heads, whichever is
     /// more; 0 where too few places tell.
     pub fn differ_rad(&self) -> impl Iterator<Item = f32> {
-        self.pools.iter().map(|pools| pools.iter().fold(0.0, |most, pool| pool.means()[0].max(most)))
+        self.pools.iter().map(|pools| pools.iter().fold(0.0, |most, pool| pool.mean().max(most)))
     }
 
     /// Whether enough places were compared to know how far each camera differs from the others.
@@ -147,53 +144,41 @@ impl Agreement {
         self.pools.iter().map(|pools| pools.iter().any(|pool| pool.places >= POOL_PLACES))
     }
 
-    /// The camera that differs most, by what, and whether single places do so alone, if any camera differs by too much.
-    fn worst(&self, most: MostDifference) -> Option<(usize, f32, bool)> {
-        let means = || self.pools.iter().flatten().map(Pool::means);
-        let turned = means().any(|[middle, _]| middle > most.everywhere_rad);
-        if !turned && !means().any(|[_, scale]| scale > most.scatter_rad) {
+    /// The camera that differs most, and by what, if any camera differs by too much.
+    fn worst(&self, most: MostDifference) -> Option<(usize, f32)> {
+        if self.differ_rad().all(|by_rad| by_rad <= most.everywhere_rad) {
             return None;
         }
         // A camera that has turned differs from all others; each of these only from that one.
         let of = |[same, other]: &[Pool; 2]| {
-            let both = Pool {
-                places: same.places + other.places,
-                middle: same.middle + other.middle,
-                scale: same.scale + other.scale,
-            };
-            both.means()[usize::from(!turned)]
+            Pool { places: same.places + other.places, middle: same.middle + other.middle }.mean()
         };
         let each = self.pools.iter().map(of).enumerate();
-        let worst = each.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)));
-        worst.map(|(camera, by_rad)| (camera, by_rad, !turned))
+        each.max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
     }
 
     /// Whether the calibration can be believed; else the reason of the refusal, for the user.
     pub fn verdict(&self, views: &[View<'_>], most: MostDifference) -> Result<(), String> {
-        let Some((camera, by_rad, scattered)) = self.worst(most) else { return Ok(()) };
+        let Some((camera, by_rad)) = self.worst(most) else { return Ok(()) };
         let View { id, triangulator, .. } = &views[camera];
         let pair = triangulator.pair();
-        let most_rad = if scattered { most.scatter_rad } else { most.everywhere_rad };
-        let expected =
-            format!("expected cameras that agree within {most_rad} rad where they see one surface");
-        if scattered {
-            return Err(format!(
-                "{expected}, found single places where they do not, most of all with {id}: a pattern on the surface \
-                 that looks like fringes, other light, or devices that have turned; if plain skin gives the same, \
-                 calibrate again"
-            ));
-        }
         let px = f64::from(by_rad) / std::f64::consts::TAU * f64::from(pair.period_px);
         Err(format!(
-            "{expected}, found more: {id} differs most, by {by_rad:.2} rad, as if it or its projector had turned by \
-             {:.3} degree; run `fourdbody calibration check` to find the devices that have turned, or calibrate again",
+            "expected cameras that agree within {} rad where they see one surface, found more: {id} differs most, by \
+             {by_rad:.2} rad, as if it or its projector had turned by {:.3} degree; run `fourdbody calibration check` \
+             to find the devices that have turned, or calibrate again",
+            most.everywhere_rad,
             (px / pair.camera.lens.fx).to_degrees()
         ))
     }
 }
 
-/// The differences of all cameras from a view, block by block.
-pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &OrderTable) -> Vec<Differences> {
+/// The differences of all cameras from a view, block by block, and how far single places are off them: patch, rad.
+pub fn of(
+    field: &Field<'_>,
+    scenes: &[Scene<'_>],
+    known: &OrderTable,
+) -> (Vec<Differences>, Vec<(u32, f32)>) {
     let own = field.scene;
     let certain: Vec<usize> = (0..own.patches.all.len())
         .filter(|&i| {
@@ -201,9 +186,9 @@ pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &OrderTable) -> Vec<Di
         })
         .collect();
     let mut looks = Observations::new(scenes);
-    let mut out = Vec::new();
+    let (mut out, mut rests) = (Vec::new(), Vec::new());
     for block in 0..scenes.len().div_ceil(LANES) {
-        let mut seen: [Vec<([f32; TERMS], f32)>; LANES] = Default::default();
+        let mut seen: [Vec<Seen>; LANES] = Default::default();
         for places in certain.chunks(PLACES) {
             let mut rays = [Ray { direction: [0.0; 3], inverse_depth: 0.0 }; PLACES];
             let mut sights = [Observed::NONE; PLACES];
@@ -215,7 +200,7 @@ pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &OrderTable) -> Vec<Di
                     let turns = known.turns.get(*node as usize).copied().unwrap_or(NO_ORDER);
                     let off = ahead + TAU * turns as f32;
                     if turns != NO_ORDER && off.abs() < PI {
-                        seen.push((terms, off));
+                        seen.push(Seen { patch: i as u32, terms, off });
                     }
                 }
             }
@@ -225,36 +210,54 @@ pub fn of(field: &Field<'_>, scenes: &[Scene<'_>], known: &OrderTable) -> Vec<Di
             let (terms, scale) = fit(seen);
             for (k, term) in terms.into_iter().enumerate() {
                 found.terms[k][c] = term;
-                found.middle[c] += term * seen.iter().map(|x| x.0[k]).sum::<f32>() / seen.len() as f32;
+                found.middle[c] += term * seen.iter().map(|x| x.terms[k]).sum::<f32>() / seen.len() as f32;
+            }
+            // Cameras of other heads mostly see other surfaces there, whose phases differ by chance.
+            if scenes[block * LANES + c].head == own.head {
+                rests.extend(seen.iter().map(|x| (x.patch, x.rest(&terms))));
             }
             found.scale[c] = scale;
             found.places[c] = seen.len() as u32;
         }
         out.push(found);
     }
-    out
+    (out, rests)
+}
+
+/// A place of a view that another camera sees.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    patch: u32,
+    terms: [f32; TERMS],
+    /// What the other camera differs by, rad.
+    off: f32,
+}
+
+impl Seen {
+    /// What the plane does not explain, rad.
+    fn rest(&self, plane: &[f32; TERMS]) -> f32 {
+        self.off - self.terms.iter().zip(plane).map(|(term, by)| term * by).sum::<f32>()
+    }
 }
 
 /// The plane that most differences are near, and their scale about it.
-fn fit(seen: &[([f32; TERMS], f32)]) -> ([f32; TERMS], f32) {
+fn fit(seen: &[Seen]) -> ([f32; TERMS], f32) {
     let mut plane = Vector3::zeros();
-    let mut sorted: Vec<f32> = seen.iter().map(|x| x.1).collect();
+    let mut sorted: Vec<f32> = seen.iter().map(|x| x.off).collect();
     sorted.sort_unstable_by(f32::total_cmp);
     plane[0] = f64::from(sorted[sorted.len() / 2]);
     let mut scale = 0.0;
     for _ in 0..ROUNDS {
-        let rest = |(terms, off): &([f32; TERMS], f32)| {
-            f64::from(*off) - Vector3::from(terms.map(f64::from)).dot(&plane)
-        };
+        let rest = |x: &Seen| f64::from(x.off) - Vector3::from(x.terms.map(f64::from)).dot(&plane);
         let mut sizes: Vec<f64> = seen.iter().map(|x| rest(x).abs()).collect();
         let middle = sizes.len() / 2;
         scale = sizes.select_nth_unstable_by(middle, f64::total_cmp).1.max(LEAST_SCALE_RAD);
         let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
         for x in seen {
-            let terms = Vector3::from(x.0.map(f64::from));
+            let terms = Vector3::from(x.terms.map(f64::from));
             let weight = 1.0 / (1.0 + (rest(x) / scale).powi(2)) / (scale * scale);
             normal += terms * terms.transpose() * weight;
-            right += terms * f64::from(x.1) * weight;
+            right += terms * f64::from(x.off) * weight;
         }
         normal += Matrix3::identity() * PRIOR_PLACES / (PRIOR_RAD * PRIOR_RAD);
         plane = normal.cholesky().map_or(plane, |x| x.solve(&right));
@@ -264,7 +267,7 @@ fn fit(seen: &[([f32; TERMS], f32)]) -> ([f32; TERMS], f32) {
 
 #[cfg(test)]
 mod tests {
-    use super::{Agreement, Differences, MostDifference, fit};
+    use super::{Agreement, Differences, MostDifference, Seen, fit};
 
     #[test]
     fn the_plane_is_that_of_most_places() {
@@ -276,7 +279,7 @@ mod tests {
                 let true_one: f32 = terms.iter().zip(plane).map(|(a, b)| a * b).sum();
                 let noise = ((i * 29 % 101) as f32 / 101.0 - 0.5) * 0.04;
                 let chance = (i * 61 % 620) as f32 / 100.0 - 3.1;
-                (terms, if i % 10 < 3 { chance } else { true_one + noise })
+                Seen { patch: i, terms, off: if i % 10 < 3 { chance } else { true_one + noise } }
             })
             .collect();
         let (found, scale) = fit(&seen);

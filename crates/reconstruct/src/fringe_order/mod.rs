@@ -11,6 +11,7 @@
 //! same_head       the same for the other camera of the head, which is compared first
 //! evidence        what that costs each fringe order of a patch
 //! drift           by how much two cameras differ where both surely see one surface
+//! contradictions  places where cameras differ though their devices stand as they stood
 //! inference       the orders that cost least together, and by how much they lead
 //! one_view        the same for a camera alone
 //! witness         which surfaces another head or the marker bears out
@@ -23,6 +24,7 @@
 //! each label a cost; a patch that does not continue its neighbour costs the weight of their link. A patch is refused
 //! if its label leads any other by too little.
 
+mod contradictions;
 mod drift;
 mod evidence;
 mod inference;
@@ -81,7 +83,7 @@ pub fn solve(views: &mut [View<'_>], margin: f32, most: MostDifference) -> Resul
     let (results, agreement) = {
         let scenes = all.into_par_iter().enumerate();
         let scenes: Vec<Scene<'_>> = scenes.map(|(view, patches)| Scene::new(views, view, patches)).collect();
-        let (found, differences) = label_all(&scenes, margin);
+        let (found, differences) = label_all(&scenes, margin, most);
         let agreement = Agreement::of(&differences, &scenes);
         let results: Vec<Found> =
             scenes.into_iter().zip(found).map(|(scene, x)| (scene.patches, x.0, x.1)).collect();
@@ -105,27 +107,41 @@ type Turns = (Vec<i32>, Vec<f32>);
 type Found = (Patches, Vec<i32>, Vec<f32>);
 
 /// The turns of each view, and how far the cameras agree.
-fn label_all(scenes: &[Scene<'_>], margin: f32) -> (Vec<Turns>, Vec<Vec<Differences>>) {
+fn label_all(scenes: &[Scene<'_>], margin: f32, most: MostDifference) -> (Vec<Turns>, Vec<Vec<Differences>>) {
     let mut fields: Vec<Field<'_>> =
         (0..scenes.len()).into_par_iter().map(|i| Field::new(scenes, i)).collect();
-    let mut differences = Vec::new();
     if let [field] = &mut fields[..] {
         one_view::infer(field);
-    } else {
-        differences = infer_together(&mut fields, scenes, margin);
+        let margin = (0..field.base.len()).map(|i| field.margin(i)).collect();
+        return (vec![(turns_of(field), margin)], Vec::new());
     }
-    let of = |field: Field<'_>| {
-        let patches = 0..field.base.len();
-        (patches.clone().map(|i| field.turns(i)).collect(), patches.map(|i| field.margin(i)).collect())
+    let (rests, differences) = infer_together(&mut fields, scenes, margin);
+    let of = |(field, rests): (Field<'_>, Vec<(u32, f32)>)| {
+        let refused = contradictions::refused(&field.scene.patches, &rests, most.scatter_rad);
+        let margin = refused.into_iter().enumerate();
+        (turns_of(&field), margin.map(|(i, refused)| if refused { 0.0 } else { field.margin(i) }).collect())
     };
-    (fields.into_iter().map(of).collect(), differences)
+    (fields.into_iter().zip(rests).map(of).collect(), differences)
 }
+
+/// The whole turns that make the phases of each patch absolute.
+fn turns_of(field: &Field<'_>) -> Vec<i32> {
+    (0..field.base.len()).map(|i| field.turns(i)).collect()
+}
+
+/// How far single places of each view are off what its cameras differ by: patch, rad.
+type Rests = Vec<Vec<(u32, f32)>>;
 
 /// The two passes, and the witnesses. The first pass gives an estimate of what hides what, and of the differences between
 /// cameras, which are returned; the second uses both.
-fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>], margin: f32) -> Vec<Vec<Differences>> {
+fn infer_together(
+    fields: &mut [Field<'_>],
+    scenes: &[Scene<'_>],
+    margin: f32,
+) -> (Rests, Vec<Vec<Differences>>) {
     let none = vec![vec![Differences::default(); scenes.len().div_ceil(LANES)]; scenes.len()];
     let mut known = OrderTable { turns: Vec::new(), differences: none };
+    let mut rests = Vec::new();
     known.turns = turns_from(fields, f32::INFINITY);
     for first in [true, false] {
         fields.par_iter_mut().for_each(|field| {
@@ -134,11 +150,12 @@ fn infer_together(fields: &mut [Field<'_>], scenes: &[Scene<'_>], margin: f32) -
         });
         known.turns = turns_from(fields, if first { CERTAIN } else { margin });
         if first {
-            known.differences = fields.par_iter().map(|field| drift::of(field, scenes, &known)).collect();
+            (known.differences, rests) =
+                fields.par_iter().map(|field| drift::of(field, scenes, &known)).unzip();
         }
     }
     fields.par_iter_mut().for_each(|field| witness::require(field, scenes, &known, margin));
-    known.differences
+    (rests, known.differences)
 }
 
 /// The turns of the patches of all views whose margin is at least this, and [`BEYOND`] entries.

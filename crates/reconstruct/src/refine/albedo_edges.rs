@@ -40,19 +40,9 @@ const MIN_SUPPORT: usize = 20;
 /// Variance of the plane at the pixel relative to that of one phase: beyond this it is an extrapolation.
 const MAX_LEVERAGE: f32 = 0.3;
 
-/// Added to the leverage: no plane is surer than one through 200 phases.
-const LEAST_LEVERAGE: f32 = 0.005;
-
-/// Good phases must not lie on one line: the determinant of their moments is at least this share of the product of the
-/// variances.
-const MIN_SPREAD: f32 = 1e-3;
-
 /// Phases around a pixel are not independent: they share windows and rows. The error of the plane at the pixel
 /// is this times what it would be if they were.
 const DEPENDENCE: f32 = 6.0;
-
-/// Least RMS residual that a plane can be trusted to have, rad.
-const MIN_RESIDUAL: f32 = 0.003;
 
 /// Pixels this far from the carrier are on another surface, rad.
 const SAME_SURFACE: f32 = 1.5;
@@ -352,12 +342,8 @@ fn lay_planes(around: &Around<'_>, phase: &Lanes, carrier: &Lanes) -> Laid {
         let leverage = per_n + (yy * x0 * x0 - 2.0 * xy * x0 * y0 + xx * y0 * y0) * per_det;
         let rest = zz - a * xz - b * yz;
         let residual = (if rest > 0.0 { rest } else { 0.0 } * per_n).sqrt();
-        let residual = if residual > MIN_RESIDUAL { residual } else { MIN_RESIDUAL };
-        let error = DEPENDENCE * (leverage + LEAST_LEVERAGE).sqrt() * residual;
-        let good = (n >= MIN_SUPPORT as f32)
-            & (det >= MIN_SPREAD * xx * yy)
-            & (det > 0.0)
-            & (leverage <= MAX_LEVERAGE);
+        let error = DEPENDENCE * leverage.sqrt() * residual;
+        let good = (n >= MIN_SUPPORT as f32) & (det > 0.0) & (leverage <= MAX_LEVERAGE);
         laid.phase[i] = own + z0 - a * x0 - b * y0;
         laid.error[i] = if good { error } else { f32::INFINITY };
     }

@@ -7,23 +7,19 @@
 //! the phases themselves it is known better: their course predicts how the fringe goes on.
 //!
 //! So the pixels beside the last known phase get windows of the period that its course foretells, one after the other
-//! towards the end, as long as what they see agrees with it; and those at the end whose misfit is doubtful are
-//! demodulated again. Nothing here has a part in fringe orders: a pixel takes that of the one beside it.
+//! towards the end. Nothing here has a part in fringe orders: a pixel takes that of the one beside it.
 
 use crate::base::image::Plane;
 use crate::kernels::pixel_runs::{Run, Runs};
-use crate::kernels::{fast_round, prefetch, simd, subpixel};
+use crate::kernels::{fast_round, prefetch, simd};
 use crate::phase::demodulate::{self, Gains};
 use crate::phase::shading;
-use crate::phase::window_quality::{self, DOUBTFUL_MISFIT, Windows};
+use crate::phase::window_quality::{self, Windows};
 use std::f32::consts::TAU;
 use std::ops::Range;
 
 /// How far a window may reach beyond its run, as a share of its period.
 const BEYOND: f32 = 0.35;
-
-/// How far a window may reach beyond its run at most, px.
-const BEYOND_PX: f32 = 6.0;
 
 /// Largest misfit of a window that reaches beyond its run.
 const BEYOND_MISFIT: f32 = 0.2;
@@ -38,35 +34,11 @@ const SPOT_SHARE: f32 = 0.1;
 /// .. and this much more, rad.
 const SPOT_RAD: f32 = 1.0;
 
-/// Largest difference of a new phase from what the course of those beside it predicts, rad.
-const MAX_STEP: f32 = 0.4;
-
 /// Periods that are demodulated here, px: at outlines they are shorter and longer than those that are counted.
 const PERIODS_PX: Range<f32> = 4.5..32.0;
 
 /// Least and largest distance of the phases that the course is taken from, px: half a period, as far as these allow.
 const COURSE_PX: Range<f32> = 3.0..12.0;
-
-/// Least distance of the phases that a slope is taken from, px: a third of a period where that is more.
-const LEAST_SLOPE_PX: f32 = 2.0;
-
-/// Slopes that differ from the carrier's by more than this share are not those of one surface.
-const SAME_SLOPE: f32 = 0.6;
-
-/// The bend of the course changes its slope by this share at most.
-const MAX_BEND: f32 = 0.3;
-
-/// Doubtful pixels up to this distance from the end of a run are demodulated again, px.
-const END_PX: usize = 12;
-
-/// They are if the period by the phases differs from the counted one by no more than this share.
-const PERIOD_CHANGE: f32 = 0.3;
-
-/// The new phase is taken if its misfit is less than this share of the old one ..
-const LESS_MISFIT: f32 = 0.9;
-
-/// .. and it differs from the old phase by no more than this, rad.
-const PHASE_CHANGE: f32 = 0.5;
 
 /// What [`complete`] reads of a frame.
 pub(crate) struct Input<'a> {
@@ -79,8 +51,7 @@ pub(crate) struct Input<'a> {
     pub sign: f32,
 }
 
-/// Adds phases at the ends of runs to `absolute`, which is known within them only, and improves those that are doubtful there.
-/// Returns how many were added.
+/// Adds phases at the ends of runs to `absolute`, which is known within them only. Returns how many were added.
 pub(crate) fn complete(
     input: &Input<'_>,
     absolute: &mut Plane<f32>,
@@ -119,9 +90,7 @@ fn prefetch_ends(input: &Input<'_>, absolute: &Plane<f32>, windows: &Windows, pe
         return;
     }
     for run in input.runs.row(v) {
-        let (start, last) = (run.start(), run.end() - 1);
-        // Up to a cache line further in: there may be two of them.
-        for u in [start, last, (start + END_PX).min(last), last.saturating_sub(END_PX).max(start)] {
+        for u in [run.start(), run.end() - 1] {
             prefetch::value(windows.strength.row(v), u);
             prefetch::value(windows.light.row(v), u);
             prefetch::value(input.image.row(v), u);
@@ -180,7 +149,7 @@ struct Found {
 const SAMPLES: [f32; 7] = [-3.0 / 6.0, -2.0 / 6.0, -1.0 / 6.0, 0.0, 1.0 / 6.0, 2.0 / 6.0, 3.0 / 6.0];
 
 impl Row<'_> {
-    /// Completes and improves the ends of all runs; how many phases were added.
+    /// Completes the ends of all runs; how many phases were added.
     #[inline(always)]
     fn complete(&mut self, runs: &[Run]) -> usize {
         let mut added = 0;
@@ -188,15 +157,9 @@ impl Row<'_> {
         let mut spot_before = false;
         for (i, run) in runs.iter().enumerate() {
             let spot_behind = runs.get(i + 1).is_some_and(|next| self.is_spot(run, next));
-            let columns = run.columns();
-            let end = columns.len().min(END_PX);
-            let before = (spot_before, -1, columns.start..columns.start + end);
-            // Not twice in short runs.
-            let behind = (spot_behind, 1, (columns.end - end).max(columns.start + end)..columns.end);
-            for (spot, step, part) in [before, behind] {
+            for (spot, step) in [(spot_before, -1), (spot_behind, 1)] {
                 if !spot {
-                    added += self.go_on(&columns, step);
-                    self.improve(&columns, part);
+                    added += self.go_on(&run.columns(), step);
                 }
             }
             spot_before = spot_behind;
@@ -259,10 +222,8 @@ impl Row<'_> {
             for i in 0..known {
                 let u = from.wrapping_add_signed(step * (done + 1) as isize);
                 let beyond = period[i] / 2.0 > to_end(columns, u) as f32;
-                // NaN where there is none.
-                let agrees = (found.phase[i] - expected[i]).abs() <= MAX_STEP
-                    && !(beyond && found.misfit[i] > BEYOND_MISFIT);
-                if !agrees || self.zone[u] != 0 {
+                let is_fringe = !found.phase[i].is_nan() && !(beyond && found.misfit[i] > BEYOND_MISFIT);
+                if !is_fringe || self.zone[u] != 0 {
                     return done;
                 }
                 self.set(u, i, period[i], &found);
@@ -270,51 +231,6 @@ impl Row<'_> {
             }
         }
         count
-    }
-
-    /// Demodulates doubtful pixels of a part of a run again, at the period of the phases around them.
-    #[inline(always)]
-    fn improve(&mut self, columns: &Range<usize>, part: Range<usize>) {
-        const { assert!(END_PX <= LANES) };
-        let (mut doubtful, mut count) = ([0usize; END_PX], 0);
-        let pixels = self.absolute[part.clone()].iter().zip(&self.misfit[part.clone()]);
-        for (i, ((phase, &misfit), &zone)) in pixels.zip(&self.zone[part.clone()]).enumerate().take(END_PX) {
-            doubtful[count] = i;
-            count += usize::from((misfit >= DOUBTFUL_MISFIT) & !phase.is_nan() & (zone == 0));
-        }
-        if count == 0 {
-            return;
-        }
-        let (first, doubtful) = (part.start, &doubtful[..count]);
-        let before: Lanes = subpixel::part(self.absolute, first, f32::NAN);
-        let misfit: Lanes = subpixel::part(self.misfit, first, 0.0);
-        let counted: Lanes = subpixel::part(self.period, first, f32::NAN);
-        let slope = self.slopes(columns, first, doubtful, &before, &counted);
-        let mut period = [0f32; LANES];
-        for i in 0..LANES {
-            period[i] = TAU / slope[i].abs();
-        }
-        let (mut again, mut known) = ([0usize; END_PX], 0);
-        for &i in doubtful {
-            let near = (period[i] / counted[i] - 1.0).abs() <= PERIOD_CHANGE;
-            if near && self.has_window(columns, first + i, period[i]) {
-                again[known] = i;
-                known += 1;
-            }
-        }
-        if known == 0 {
-            return;
-        }
-        // All of them before any is changed.
-        let again = &again[..known];
-        let seen = self.look(columns, (first, 1), again, &period);
-        let found = self.demodulate(&seen, &before);
-        for &i in again {
-            let same = (found.phase[i] - before[i]).abs() <= PHASE_CHANGE;
-            if same && found.misfit[i] < LESS_MISFIT * misfit[i] {
-                self.set(first + i, i, period[i], &found);
-            }
-        }
     }
 
     /// Stores the result of one lane for its pixel.
@@ -330,7 +246,7 @@ impl Row<'_> {
     /// none.
     #[inline(always)]
     fn has_window(&self, columns: &Range<usize>, u: usize, period: f32) -> bool {
-        let (half, beyond) = (period / 2.0, (BEYOND * period).min(BEYOND_PX));
+        let (half, beyond) = (period / 2.0, BEYOND * period);
         PERIODS_PX.contains(&period)
             && half - beyond <= to_end(columns, u) as f32
             && u as f32 - half >= 0.0
@@ -427,63 +343,14 @@ impl Row<'_> {
         let (near, far) = (self.at(columns, from, -steps), self.at(columns, from, -2 * steps));
         let phase = self.absolute[from];
         let [own, before] = [(phase - near) / reach, (near - far) / reach];
-        let (slope, bend) = match (is_same(own, carrier), is_same(before, carrier)) {
-            (true, true) => (own, (own - before) / reach),
-            (true, false) => (own, 0.0),
-            (false, _) => (carrier, 0.0),
+        // NaN where the run is too short.
+        let (slope, bend) = match (own.is_nan(), before.is_nan()) {
+            (false, false) => (own, (own - before) / reach),
+            (false, true) => (own, 0.0),
+            (true, _) => (carrier, 0.0),
         };
         Course { phase, slope, bend, behind: reach / 2.0 }
     }
-
-    /// Slopes of the `phase` of some of the pixels behind `first`, rad/px; NaN where there is none.
-    #[inline(always)]
-    fn slopes(
-        &self,
-        columns: &Range<usize>,
-        first: usize,
-        pixels: &[usize],
-        phase: &Lanes,
-        period: &Lanes,
-    ) -> Lanes {
-        let mut reach = [0f32; LANES];
-        for i in 0..LANES {
-            reach[i] = (period[i] / 3.0).round().max(LEAST_SLOPE_PX);
-        }
-        // Two before and two behind.
-        let mut beside = [[f32::NAN; LANES]; 4];
-        for &i in pixels {
-            let (u, steps) = (first + i, fast_round::whole(reach[i]) as isize);
-            beside[0][i] = self.at(columns, u, -2 * steps);
-            beside[1][i] = self.at(columns, u, -steps);
-            beside[2][i] = self.at(columns, u, steps);
-            beside[3][i] = self.at(columns, u, 2 * steps);
-        }
-        let mut slope = [0f32; LANES];
-        for i in 0..LANES {
-            let carrier = self.sign * TAU / period[i];
-            let [before, after] =
-                [(phase[i] - beside[1][i]) / reach[i], (beside[2][i] - phase[i]) / reach[i]];
-            let from_before = from_side(before, (beside[1][i] - beside[0][i]) / reach[i], carrier);
-            let from_after = from_side(after, (beside[3][i] - beside[2][i]) / reach[i], carrier);
-            let (same_before, same_after) = (is_same(before, carrier), is_same(after, carrier));
-            let one_side = if same_before { from_before } else { f32::NAN };
-            let one_side = if same_after { from_after } else { one_side };
-            slope[i] = if same_before & same_after { (before + after) / 2.0 } else { one_side };
-        }
-        slope
-    }
-}
-
-/// Whether a slope may be that of the surface whose fringes have the carrier's.
-#[inline(always)]
-fn is_same(slope: f32, carrier: f32) -> bool {
-    (slope / carrier - 1.0).abs() < SAME_SLOPE
-}
-
-/// The slope at a pixel from the differences on one side, the farther one for how it bends.
-#[inline(always)]
-fn from_side(near: f32, far: f32, carrier: f32) -> f32 {
-    if is_same(far, carrier) { near + (near - far) / 2.0 } else { near }
 }
 
 /// The phase as it goes on from a pixel: a parabola whose slope was measured `behind` px before it.
@@ -498,8 +365,7 @@ impl Course {
     /// Slope of the phase at this distance, px, from the pixel, in rad/px.
     #[inline(always)]
     fn slope(&self, distance: f32) -> f32 {
-        let most = MAX_BEND * self.slope.abs();
-        self.slope + (self.bend * (distance + self.behind)).clamp(-most, most)
+        self.slope + self.bend * (distance + self.behind)
     }
 
     /// Phase at this distance, px, from the pixel, in rad.
