@@ -219,14 +219,14 @@ impl Row<'_> {
             let places: [usize; LANES] = std::array::from_fn(|i| i);
             let seen = self.look(columns, (next, step), &places[..known], &period);
             let found = self.demodulate(&seen, &expected);
-            for i in 0..known {
+            for (i, &period) in period.iter().enumerate().take(known) {
                 let u = from.wrapping_add_signed(step * (done + 1) as isize);
-                let beyond = period[i] / 2.0 > to_end(columns, u) as f32;
-                let is_fringe = !found.phase[i].is_nan() && !(beyond && found.misfit[i] > BEYOND_MISFIT);
-                if !is_fringe || self.zone[u] != 0 {
+                let beyond = period / 2.0 > to_end(columns, u) as f32;
+                let no_fringe = found.phase[i].is_nan() || (beyond && found.misfit[i] > BEYOND_MISFIT);
+                if no_fringe || self.zone[u] != 0 {
                     return done;
                 }
-                self.set(u, i, period[i], &found);
+                self.set(u, i, period, &found);
                 done += 1;
             }
         }
