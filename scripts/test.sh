@@ -14,8 +14,6 @@ cargo=${CARGO:-cargo}
 log=target/test-computing.log
 # What runs in the background does not hear of Ctrl-C by itself.
 trap 'trap - INT TERM; kill 0' INT TERM
-# Tests that wait leave half of two processors idle: four of them at a time take three fifths of the time.
-waiting_threads=$(($(nproc) > 4 ? $(nproc) : 4))
 # A test that hangs is named by the line that says how long it has been running, and ends the run.
 bounded() { timeout --foreground 40m "$@"; }
 
@@ -31,8 +29,7 @@ first=$?
 (
     bounded nice -n 19 "$cargo" test --workspace --lib && bounded nice -n 19 "$cargo" test --workspace --test it -- "${computing[@]}"
 ) >"$log" 2>&1 &
-bounded "$cargo" test --workspace --test it --test makes -- --skip="$alone" "${computing[@]/#/--skip=}" \
-    --test-threads="$waiting_threads"
+bounded "$cargo" test --workspace --test it --test makes -- --skip="$alone" "${computing[@]/#/--skip=}"
 waiting=$?
 wait $!
 computed=$?

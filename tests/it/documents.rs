@@ -204,3 +204,44 @@ fn the_guides_commands_have_the_rights_of_the_service() {
     }
     assert!(value_of("LimitMEMLOCK") == "infinity" && doctor.contains("--memlock=unlimited"), "{doctor}");
 }
+
+/// The versions that tables were measured with, against those of the code. With `FOURDBODY_RELEASE` set all have to be
+/// the same, and nothing may be unmeasured; between releases no table may claim a version that does not exist yet.
+#[test]
+fn tables_are_of_this_version_at_a_release() {
+    let is_release = std::env::var_os("FOURDBODY_RELEASE").is_some();
+    let versions = [
+        ("easured with algorithm ", fourdbody::batch::key::ALGORITHM),
+        ("easured with way to the disk ", fourdbody::record::INGEST),
+    ];
+    let (mut old, mut wrong) = (Vec::new(), Vec::new());
+    for (document, text) in documents() {
+        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let name = document.display();
+        for (words, current) in versions {
+            for (_, rest) in text.match_indices(words).map(|(i, _)| text.split_at(i + words.len())) {
+                let digits: String = rest.chars().take_while(char::is_ascii_digit).collect();
+                match digits.parse::<u32>() {
+                    Ok(version) if version > current => wrong.push(format!("{name}: {words}{version}")),
+                    Ok(version) if version < current => old.push(format!("{name}: {words}{version}")),
+                    // The sentence that explains the words.
+                    _ => {}
+                }
+            }
+        }
+        let tables = text
+            .split("<!-- table: ")
+            .skip(1)
+            .map(|table| table.split("<!-- end -->").next().unwrap_or(table));
+        let bare = tables.filter(|table| !table.contains("easured with"));
+        old.extend(
+            bare.map(|table| format!("{name}: {} has no version", &table[..table.find(' ').unwrap_or(0)])),
+        );
+        if text.contains("ot measured with this version.") {
+            old.push(format!("{name}: not measured with this version"));
+        }
+    }
+    assert!(wrong.is_empty(), "no such version: {wrong:#?}");
+    println!("of earlier versions: {old:#?}");
+    assert!(!is_release || old.is_empty(), "`make figures` measures these: {old:#?}");
+}

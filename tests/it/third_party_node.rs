@@ -78,6 +78,8 @@ fn our_node_takes_no_frame_of_a_free_running_camera_for_a_triggers() {
     let recording = &reader.recordings()[0];
     let outcomes = &recording.verdict.as_ref().expect("closed").cameras[0];
     assert_eq!((outcomes.frames, outcomes.gap_count()), (0, TRIGGERS), "{outcomes:?}");
-    let given_up = outcomes.gaps.get(&GapCause::IdentityMismatch).copied().unwrap_or(0);
+    // A host that stood still says so.
+    let by_host = [GapCause::IdentityMismatch, GapCause::NodePaused];
+    let given_up: u64 = by_host.iter().filter_map(|cause| outcomes.gaps.get(cause)).sum();
     assert!(given_up >= TRIGGERS * 3 / 4, "its frames arrived, and none is of a trigger: {outcomes:?}");
 }
