@@ -111,11 +111,10 @@ impl Conversation {
     /// Sends a heartbeat, and reports a loss of the link. `false`: the link cannot come back.
     fn show_life(&self, lost: &mut bool) -> bool {
         let Patience { answer, attempts } = self.timeouts.patience;
-        let quiet_for = self.link.quiet_for();
         let loss = match self.link.ask_if_idle("the heartbeat", Request::Heartbeat, self.timeouts.patience) {
             // For the unit, any other request is a sign of life. For this host only answers are: one request after
             // the other must not hide that none is answered.
-            None if quiet_for < answer * attempts => return true,
+            None if self.link.unanswered_for() < answer * attempts => return true,
             None | Some(Err(HsuError::NoAnswer { .. })) => LinkLoss::Silent,
             Some(Err(HsuError::Refused { refusal: Refusal::HelloFirst, .. })) => LinkLoss::Restarted,
             Some(Err(HsuError::Io { cause, .. })) => LinkLoss::Broken(cause),

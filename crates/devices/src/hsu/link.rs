@@ -61,8 +61,8 @@ struct Shared {
     stop: AtomicBool,
     /// Number of frames and messages that could not be read.
     bad_frames: AtomicU32,
-    /// When a message was last read, CLOCK_MONOTONIC, ns.
-    last_message_ns: AtomicU64,
+    /// When the first request was sent since which no message has been read, CLOCK_MONOTONIC, ns; 0: none is owed.
+    owed_since_ns: AtomicU64,
     broken: Mutex<Option<String>>,
 }
 
@@ -99,7 +99,6 @@ impl Link {
     ) -> io::Result<Self> {
         let shared = Arc::new(Shared::default());
         let (to_asker, answers) = bounded(ANSWERS);
-        shared.last_message_ns.store(monotonic_ns(Instant::now()), Ordering::Relaxed);
         let for_thread = shared.clone();
         let reader = std::thread::Builder::new()
             .name("hsu-read".into())
@@ -146,6 +145,8 @@ impl Link {
         let begun = Instant::now();
         for _ in 0..attempts {
             let sent = Instant::now();
+            let owed = &self.shared.owed_since_ns;
+            let _ = owed.compare_exchange(0, monotonic_ns(sent), Ordering::Relaxed, Ordering::Relaxed);
             match asking.writer.write_all(&framed[..length]) {
                 // The line accepts nothing because the other end does not read: that is a silent device.
                 Err(error) if is_pause(&error) => {}
@@ -182,10 +183,13 @@ impl Link {
         &self.device
     }
 
-    /// Time since the last message of any kind.
-    pub fn quiet_for(&self) -> Duration {
-        let last = self.shared.last_message_ns.load(Ordering::Relaxed);
-        Duration::from_nanos(monotonic_ns(Instant::now()).saturating_sub(last))
+    /// For how long requests have gone out without any message coming in; 0 where nothing is owed. That no message came
+    /// says nothing where nobody asked: a host that stands still does not ask.
+    pub fn unanswered_for(&self) -> Duration {
+        match self.shared.owed_since_ns.load(Ordering::Relaxed) {
+            0 => Duration::ZERO,
+            since => Duration::from_nanos(monotonic_ns(Instant::now()).saturating_sub(since)),
+        }
     }
 
     /// Number of frames and messages from the unit that could not be read.
@@ -234,7 +238,7 @@ fn read_all(
                 unreadable = unreadable.saturating_add(1);
                 return;
             };
-            shared.last_message_ns.store(monotonic_ns(received), Ordering::Relaxed);
+            shared.owed_since_ns.store(0, Ordering::Relaxed);
             match message.request_id() {
                 // A full queue holds late answers only; the request will be repeated.
                 Some(_) => drop(answers.try_send((message, received))),

@@ -167,6 +167,31 @@ fn a_device_that_echoes_does_not_answer() {
     assert!(link.bad_frames() > 0, "it is noticed, though");
 }
 
+/// A keeper that the host kept from running for seconds, and that finds another request under way, has not been left
+/// without an answer.
+#[test]
+fn silence_counts_from_the_first_request_without_an_answer() {
+    let mut unit = unit();
+    let (reader, writer, _far) = far_end(vec![100], move |message| {
+        let mut answers = Answers(Vec::new());
+        unit.receive(LinkId::A, 1, message, &mut answers);
+        answers.0
+    });
+    let link = Link::start("a test line", reader, writer, |_| {}).expect("a thread");
+    let patience = Patience { answer: Duration::from_millis(20), attempts: 500 };
+    link.ask("the greeting", HELLO, patience).expect("an answer");
+    std::thread::sleep(Duration::from_millis(30));
+    assert_eq!(link.unanswered_for(), Duration::ZERO, "nothing was asked");
+
+    let (_sender, nothing) = unbounded();
+    let (to_nobody, _receiver) = unbounded();
+    let reader = Receiving { bytes: nothing, rest: Vec::new(), portions: vec![1], reads: 0 };
+    let link = Link::start("a test line", reader, Sending(to_nobody), |_| {}).expect("a thread");
+    let patience = Patience { answer: Duration::from_millis(10), attempts: 3 };
+    link.ask("the greeting", HELLO, patience).expect_err("nobody is there");
+    assert!(link.unanswered_for() >= Duration::from_millis(30), "since the first attempt");
+}
+
 #[test]
 fn a_broken_line_is_reported_at_once() {
     let (_, nothing) = unbounded();
