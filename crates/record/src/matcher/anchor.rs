@@ -24,8 +24,9 @@ const MARGIN_ALONE: usize = 3;
 const ENOUGH: usize = 5;
 /// Periods around a place within which other places are compared with it.
 const AROUND: i64 = 4;
-/// Time that a host may stand still, ns: a frame may be of any trigger that long before its arrival.
-const STALL_NS: u64 = 400_000_000;
+/// Time that a host may stand still, ns: a frame may be of any trigger that long before its arrival. `verify` judges by the
+/// same.
+pub(crate) const STALL_NS: u64 = 400_000_000;
 
 /// A frame of the warm-up.
 #[derive(Debug, Clone, Copy)]

@@ -14,7 +14,7 @@
 //! clock contradict each other, the arrivals of this frame and of those behind it decide ([`dispute`]); where they do
 //! not, the frame is given up, never guessed.
 
-mod anchor;
+pub(crate) mod anchor;
 pub mod block_ids;
 mod case;
 mod clock_relation;

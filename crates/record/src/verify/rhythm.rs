@@ -7,6 +7,7 @@
 
 use super::frame::{Frame, Seen, skipped};
 use super::table::Table;
+use crate::matcher::anchor::STALL_NS;
 
 /// Frames of the warm-up that are considered, from the first of the stream on.
 const FRAMES: usize = 64;
@@ -21,7 +22,7 @@ const MARGIN: usize = 2;
 const MARGIN_OF_ARRIVALS: usize = 3;
 /// Frames from the first one on that places are tried with: the first may be of no trigger.
 const TRIED: usize = 3;
-/// Periods after its trigger within which a frame arrives.
+/// Periods after its trigger within which a frame arrives, where the host does not stand still.
 const LATEST_PERIODS: i128 = 8;
 
 /// A place that was tried.
@@ -127,5 +128,6 @@ fn is_possible(frames: &[Frame], table: &Table) -> bool {
         }
         ways.push(way);
     }
-    ways.iter().min().is_none_or(|quickest| *quickest <= LATEST_PERIODS * table.period_ns)
+    let latest = (LATEST_PERIODS * table.period_ns).max(i128::from(STALL_NS));
+    ways.iter().min().is_none_or(|quickest| *quickest <= latest)
 }

@@ -87,10 +87,13 @@ fn honest_recordings_are_good() {
     }
 }
 
-/// Changes when frames of the warm-up of the camera without stamps arrived, by their places among them.
-fn rearrived(take: &mut Take, change: impl Fn(usize, &[u64]) -> u64) {
+/// A camera of the takes that gives no stamps.
+const WITHOUT_STAMPS: &str = "h1_up";
+
+/// Changes when frames of a camera's warm-up arrived, by their places among them.
+fn rearrived(take: &mut Take, camera: &str, change: impl Fn(usize, &[u64]) -> u64) {
     let of = |event: &NodeEvent| {
-        let camera = event.camera.as_ref().is_some_and(|id| id.as_str() == "h1_up");
+        let camera = event.camera.as_ref().is_some_and(|id| id.as_str() == camera);
         WarmUp::of(event).filter(|sample| camera && matches!(sample, WarmUp::Frame { .. }))
     };
     let frames: Vec<(usize, WarmUp)> =
@@ -115,7 +118,7 @@ fn rearrived(take: &mut Take, change: impl Fn(usize, &[u64]) -> u64) {
 #[test]
 fn a_rhythm_that_was_found_stays_found() {
     let mut take = Take::honest(Happens::Nothing, 4);
-    rearrived(&mut take, |number, at| at[number] + if number + 2 >= at.len() { 25_000_000 } else { 0 });
+    rearrived(&mut take, WITHOUT_STAMPS, |number, at| at[number] + if number + 2 >= at.len() { 25_000_000 } else { 0 });
     let report = verified(&[&take]);
     assert!(report.worst.is_none(), "{}", text(&report));
 }
@@ -125,10 +128,19 @@ fn a_rhythm_that_was_found_stays_found() {
 fn one_frame_that_was_held_up_with_the_next_hides_no_rhythm() {
     for held in 1..7 {
         let mut take = Take::honest(Happens::Nothing, 4);
-        rearrived(&mut take, |number, at| at[number + usize::from(number == held)]);
+        rearrived(&mut take, WITHOUT_STAMPS, |number, at| at[number + usize::from(number == held)]);
         let report = verified(&[&take]);
         assert!(report.worst.is_none(), "{held}: {}", text(&report));
     }
+}
+
+/// The node does not ask how many periods a host stood still before it took the frames of the warm-up, but how long.
+#[test]
+fn a_warm_up_that_is_taken_late_has_its_rhythm() {
+    let mut take = Take::honest(Happens::Nothing, 4);
+    rearrived(&mut take, "h0_up", |number, at| at[number] + 10 * PERIOD as u64);
+    let report = verified(&[&take]);
+    assert!(report.worst.is_none(), "{}", text(&report));
 }
 
 /// Each forgery of an honest recording contradicts something, and what is said names the camera and the triggers.
