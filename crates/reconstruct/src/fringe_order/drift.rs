@@ -43,7 +43,7 @@ const ROUNDS: usize = 6;
 const MOST_RAD: f32 = 0.1;
 
 /// Where single places are further off that in the median of a neighbourhood, it is refused, rad
-/// ([`super::contradictions`]): half as much refuses a hundredth of squat and tattoo, too.
+/// ([`super::contradictions`]): half as much costs tattoo half a per cent of its surface, and stripes no worse points.
 const MOST_SCATTER_RAD: f32 = 0.4;
 
 /// By how much two cameras may differ where both see one surface.
@@ -294,7 +294,7 @@ mod tests {
         let mut all = vec![vec![Differences::default()]; 4];
         for &(a, b, places, middle) in pairs {
             for (a, b, middle) in [(a, b, middle), (b, a, -middle)] {
-                (all[a][0].places[b], all[a][0].middle[b], all[a][0].scale[b]) = (places, middle, 0.02);
+                (all[a][0].places[b], all[a][0].middle[b]) = (places, middle);
             }
         }
         Agreement::of_heads(&all, |a, b| a / 2 == b / 2)

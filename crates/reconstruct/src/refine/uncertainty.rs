@@ -10,11 +10,10 @@
 //!   (`shading`, `curvature`); what is left grows with the misfit of the window, beyond the misfit that most pixels
 //!   of equal light have from noise and from harmonics, which do no harm.
 //! - **Doubt.** At edges of colour it is the error that `albedo_edges` expects.
-//!
 //! - **Calibration.** What the camera differs from others by, beyond what it would with the true calibration.
 //!
-//! These are independent. Not in it: wrong fringe orders, which are refused and have no distribution. `fourdbody validate truth --uncertainty` holds it against
-//! rendered truth.
+//! These are independent. Not in it: wrong fringe orders, which are refused and have no distribution. `fourdbody validate
+//! truth --uncertainty` holds it against rendered truth.
 
 use super::FrameMaps;
 use crate::base::image::Plane;
@@ -233,6 +232,10 @@ fn bin_value(bin: usize) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::{bin, bin_value};
+    use crate::base::image::{Mono8, Plane};
+    use crate::phase::demodulate::Gains;
+    use crate::phase::for_tests::{average_rows, demodulate, wrapped};
+    use std::f32::consts::TAU;
 
     #[test]
     fn bins_hold_what_they_stand_for() {
@@ -240,5 +243,58 @@ mod tests {
             assert_eq!(bin(bin_value(i)), i);
         }
         assert!((bin_value(bin(1.3)) / 1.3 - 1.0).abs() < 0.12);
+    }
+
+    /// Neighbouring phases share samples and rows (`docs/design/phase.md`, *Correlation*).
+    #[test]
+    fn noise_is_correlated_over_a_period_and_five_rows() {
+        const PERIOD: f32 = 11.3;
+        let (width, height) = (900, 900);
+        let mut state = 1u64;
+        // The sum of twelve numbers of 0 to 1 is nearly normal, of variance 1.
+        let mut noise = || {
+            let mut uniform = || {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                (state >> 40) as f32 / (1u64 << 24) as f32
+            };
+            (0..12).map(|_| uniform()).sum::<f32>() - 6.0
+        };
+        let mut image = Plane::filled(width, height, 0u8);
+        for v in 0..height {
+            for u in 0..width {
+                let light = 120.0 + 100.0 * (TAU * u as f32 / PERIOD).cos() + 1.5 * noise();
+                image.set(u, v, light.round() as u8);
+            }
+        }
+        let [mask, skip] = [1, 0].map(|x| Plane::filled(width, height, x));
+        let period = Plane::filled(width, height, PERIOD);
+        let mut phasors = demodulate(Mono8::from(&image), &mask, &period, &Gains::new(), 1.0);
+        average_rows(&mut phasors, &skip);
+        let wrapped = wrapped(&phasors);
+        let off = |u: usize, v: usize| {
+            let off = wrapped.at(u, v) - TAU * u as f32 / PERIOD;
+            off - TAU * (off / TAU).round()
+        };
+        let mut error = Plane::filled(width, height, 0f32);
+        for u in 20..width - 20 {
+            // What interpolation is off by is no noise: it is the same in all rows.
+            let mean = (0..height).map(|v| off(u, v)).sum::<f32>() / height as f32;
+            (0..height).for_each(|v| error.set(u, v, off(u, v) - mean));
+        }
+        let correlation = |columns: usize, rows: usize| {
+            let places = (20..height - 20).flat_map(|v| (20..width - 40).map(move |u| (u, v)));
+            let (sum, square) = places.fold((0.0, 0.0), |(sum, square), (u, v)| {
+                let own = f64::from(error.at(u, v));
+                (sum + own * f64::from(error.at(u + columns, v + rows)), square + own * own)
+            });
+            sum / square
+        };
+        let along: Vec<f64> = (1..=14).map(|by| correlation(by, 0)).collect();
+        let across: Vec<f64> = (1..=6).map(|by| correlation(0, by)).collect();
+        println!("columns {along:.2?}\nrows {across:.2?}");
+        let [columns, rows] = [&along, &across].map(|x| 1.0 + 2.0 * x.iter().sum::<f64>());
+        assert!((columns / f64::from(PERIOD) - 0.7).abs() < 0.08, "{columns}");
+        assert!((rows - 5.0).abs() < 0.5, "{rows}");
+        assert!(along[11].abs() < 0.05 && across[4].abs() < 0.05, "{along:?} {across:?}");
     }
 }

@@ -118,7 +118,9 @@ fn rearrived(take: &mut Take, camera: &str, change: impl Fn(usize, &[u64]) -> u6
 #[test]
 fn a_rhythm_that_was_found_stays_found() {
     let mut take = Take::honest(Happens::Nothing, 4);
-    rearrived(&mut take, WITHOUT_STAMPS, |number, at| at[number] + if number + 2 >= at.len() { 25_000_000 } else { 0 });
+    rearrived(&mut take, WITHOUT_STAMPS, |number, at| {
+        at[number] + if number + 2 >= at.len() { 25_000_000 } else { 0 }
+    });
     let report = verified(&[&take]);
     assert!(report.worst.is_none(), "{}", text(&report));
 }

@@ -70,7 +70,7 @@ fn runs_are_completed_to_where_their_windows_end_in_the_dark() {
         );
         assert_eq!(known_after, known + added);
         assert!(added >= 5, "{added}");
-        assert!(rms_after < rms && worst < 0.15, "{rms} {rms_after} {worst}");
+        assert!(rms_after < 0.92 * rms && worst < 0.15, "{rms} {rms_after} {worst}");
     }
 }
 
