@@ -71,6 +71,8 @@ pub struct LaboratoryOptions {
     pub peers: bool,
     /// What the nodes take quick looks with.
     pub calibration: Option<PathBuf>,
+    /// Cameras run for an open console while nothing is recorded.
+    pub live_preview: bool,
     /// Keys of the nodes' `[trigger]` tables, in place of an HSU.
     pub trigger: Option<String>,
     /// What the network makes of action commands, by the cameras' names.
@@ -105,6 +107,7 @@ impl LaboratoryOptions {
             user_names: true,
             peers: true,
             calibration: None,
+            live_preview: true,
             trigger: None,
             action_fates: BTreeMap::new(),
         }
@@ -375,6 +378,9 @@ fn node_text(options: &LaboratoryOptions, rig: &Rig, file: &NodeFile, all: &[Nod
     for peer in all.iter().filter(|peer| options.peers && peer.node != *node) {
         let NodeFile { node, port, .. } = peer;
         let _ = write!(text, "\n[[api.peers]]\nname = \"{node}\"\nurl = \"http://127.0.0.1:{port}\"\n");
+    }
+    if !options.live_preview {
+        text.push_str("\n[console]\nlive_preview = false\n");
     }
     if let Some(calibration) = &options.calibration {
         let _ = write!(text, "\n[quick_look]\ncalibration = {}\n", quoted(&absolute(calibration)));

@@ -76,6 +76,7 @@ pub struct Args {
 impl Args {
     fn series(&self) -> Series {
         let wish = CaptureRequest {
+            preview: false,
             duration_s: self.duration,
             triggers: self.triggers,
             name: self.name.clone(),

@@ -117,6 +117,8 @@ fn what_cannot_be_is_refused_and_changes_nothing(node: &NodeProcess) {
     }
 }
 
+const LIVE: &str = "return document.querySelectorAll('.camera.live').length === 8";
+
 fn who_set_what_is_in_both_audit_logs(dir: &Path) {
     for (node, request) in [("a", "POST /api/v1/exposure"), ("b", "POST /api/v1/exposure")] {
         let text = std::fs::read_to_string(dir.join(format!("audit-{node}.jsonl"))).expect("a log");
@@ -135,9 +137,7 @@ fn the_page_sets_it_and_the_preview_goes_on(laboratory: &Laboratory, nodes: &mut
     };
     browser.open(&format!("http://127.0.0.1:{}/", laboratory.nodes[0].port));
     browser.wait_word("READY");
-    browser.press("p");
-    browser.wait_word("PREVIEW");
-    browser.wait("triggers", "return parseFloat(document.getElementById('clock').textContent) > 0.3");
+    browser.wait("live pictures", LIVE);
     browser.press("e");
     let row = "const row = document.querySelector('[data-head=\"h3\"]');";
     browser.wait("four heads", "return document.querySelectorAll('#exposure-heads form').length === 4");
@@ -170,10 +170,7 @@ fn the_page_sets_it_and_the_preview_goes_on(laboratory: &Laboratory, nodes: &mut
         browser.wait(&format!("seen whole at {size:?}"), whole);
     }
     browser.run("document.getElementById('exposure-close').click()");
-    browser.wait_word("PREVIEW");
-    browser.wait("triggers", "return parseFloat(document.getElementById('clock').textContent) > 0.1");
-    browser.press("s");
-    browser.wait_word("READY");
+    browser.wait("live pictures again", LIVE);
     let now = asked(&nodes[1].wait_idle());
     assert_eq!(now, [(1600.0, true), (1600.0, true), (1250.0, true), (1250.0, true)]);
     nodes[0].wait_idle();

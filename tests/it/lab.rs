@@ -216,9 +216,9 @@ impl NodeProcess {
         })
     }
 
-    /// Waits until it is in no session.
+    /// Waits until it is in no session; a preview is none.
     pub fn wait_idle(&mut self) -> NodeStatus {
-        self.wait_until("idle", |status| status.phase == fourdbody::control::request::Phase::Idle)
+        self.wait_until("idle", NodeStatus::is_free)
     }
 
     /// Kills it at once, as a crash would.

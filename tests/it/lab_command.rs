@@ -4,6 +4,7 @@
 use crate::lab::{FOURDBODY, host, own_network, turn};
 use fourdbody::control::client::NodeClient;
 use fourdbody::control::request::Phase;
+use fourdbody::control::status::path;
 use fourdbody_simulator::cmds::lab::{Args, Lab};
 use fourdbody_simulator::sequence::{Changes, Run};
 use std::path::Path;
@@ -40,10 +41,21 @@ fn a_laboratory_in_one_command_shows_a_body_and_obeys() {
         std::thread::sleep(patience);
         false
     };
-    let url = lab.console(true, wait).expect("ready").expect("not ended");
+    let url = lab.console(wait).expect("ready").expect("not ended");
     let client = NodeClient::new(&url);
-    wait_until("the cameras run", || client.status().is_ok_and(|status| status.phase == Phase::Running));
-    let body = || client.fetch("/api/v1/live?after=0", Duration::from_secs(5));
+    // As an open page does.
+    let look =
+        || client.post(path::PREVIEW, &serde_json::Value::Null, Duration::from_secs(5)).expect("a preview");
+    let running =
+        || client.status().is_ok_and(|status| status.is_in_preview() && status.phase == Phase::Running);
+    wait_until("the cameras run", || {
+        look();
+        running()
+    });
+    let body = || {
+        look();
+        client.fetch("/api/v1/live?after=0", Duration::from_secs(5))
+    };
     wait_until("a body is shown", || body().is_ok_and(|body| body.is_some_and(|bytes| bytes.len() > 1000)));
 
     assert_eq!(lab.obey("camera h0_up").as_deref(), Ok("camera h0_up is unplugged"));

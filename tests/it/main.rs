@@ -80,6 +80,7 @@ mod kills;
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
 mod lab;
 mod lab_command;
+mod live_preview;
 #[cfg(feature = "aravis")]
 mod matrix;
 mod merging;

@@ -142,6 +142,7 @@ fn in_words(status: &NodeStatus) -> String {
     let state = match (status.phase, problems.is_empty()) {
         (Phase::Idle, true) => format!("ready: {} cameras and the HSU", status.cameras.len()),
         (Phase::Idle, false) => format!("not ready: {}", problems.join("; ")),
+        _ if status.is_in_preview() => "preview".to_owned(),
         (phase, _) => format!("{phase:?}").to_lowercase(),
     };
     state + &session

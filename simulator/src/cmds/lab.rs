@@ -12,7 +12,6 @@ use fourdbody::base::ids::CameraId;
 use fourdbody::base::{Exit, Fault};
 use fourdbody::cmds::Failure;
 use fourdbody::control::client::NodeClient;
-use fourdbody::control::status::path;
 use std::io::BufRead;
 use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
@@ -24,8 +23,7 @@ use std::time::{Duration, Instant};
 /// Run a laboratory to try: cameras, HSU, two nodes, a calibration and a body that walks. Open the address that it prints.
 ///
 /// All cameras of a rig and the HSU are simulated; the nodes are those of `fourdbody node`, started here. The cameras run
-/// from the beginning, so that the console shows the body; Stop ends that, Record starts a session. What is typed here
-/// unplugs a camera, kills a node, fills a disk or cuts the line to the HSU.
+/// while the console is open, so that it shows the body; Record starts a session. What is typed here unplugs a camera, kills a node, fills a disk or cuts the line to the HSU.
 #[derive(clap::Args)]
 #[command(after_help = "Example:\n  fourdbody-sim lab --dir target/lab")]
 pub struct Args {
@@ -47,7 +45,7 @@ pub struct Args {
     /// The program of the nodes, in place of the `fourdbody` beside this program.
     #[arg(long, value_name = "FILE")]
     pub program: Option<PathBuf>,
-    /// Let the cameras stand still until somebody records.
+    /// Let the cameras stand still until somebody records, although the console is open.
     #[arg(long)]
     pub no_preview: bool,
 }
@@ -78,7 +76,7 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let mut lab = Lab::start(args, &dir, &frames)?;
     let lines = lines_of_standard_input();
     let ended = |patience| signals.wait(Some(patience));
-    let Some(url) = lab.console(!args.no_preview, ended)? else { return Ok(Exit::Done) };
+    let Some(url) = lab.console(ended)? else { return Ok(Exit::Done) };
     println!("the console: {url}\n{HELP}");
     open_browser(&url);
     while !ended(Duration::from_millis(200)) {
@@ -202,6 +200,7 @@ impl Lab {
         options.sessions_dir = dir.join("sessions");
         (options.first_address, options.first_port) = (args.first_address, args.first_port);
         options.segment_mib = 1024;
+        options.live_preview = !args.no_preview;
         options.calibration = Some(frames.join("calibration.json"));
         let sound = DiskPlan { fallocate: true, ..DiskPlan::default() };
         options.disk = SimulatedDisk::unavailable().is_none().then_some(sound);
@@ -224,16 +223,12 @@ impl Lab {
         Ok(lab)
     }
 
-    /// The address of the first node once all nodes answer and, with `preview`, the cameras run without recording. `ended`
-    /// waits for so long, and says whether all is to end: then there is none.
+    /// The address of the first node once all nodes answer. `ended` waits for a time, and returns whether the laboratory is
+    /// to end: then there is no address.
     ///
     /// # Errors
-    /// A node does not answer, or the cameras do not start, within a minute.
-    pub fn console(
-        &self,
-        preview: bool,
-        ended: impl Fn(Duration) -> bool,
-    ) -> Result<Option<String>, Failure> {
+    /// A node does not answer within a minute.
+    pub fn console(&self, ended: impl Fn(Duration) -> bool) -> Result<Option<String>, Failure> {
         let deadline = Instant::now() + PATIENCE;
         let wait = |fault: Fault, log: &Path| match Instant::now() > deadline {
             true => {
@@ -249,12 +244,6 @@ impl Lab {
             }
         }
         let first = &self.nodes[0];
-        let series = serde_json::json!({ "wish": { "dry_run": true, "triggers": 0 } });
-        while preview && let Err(fault) = first.client().post(path::CAPTURE, &series, PATIENCE) {
-            if wait(fault, &first.log())? {
-                return Ok(None);
-            }
-        }
         Ok(Some(first.client().url().to_owned()))
     }
 

@@ -166,6 +166,8 @@ pub struct NodeConfig {
     pub realtime: Realtime,
     /// Clouds of a few frame sets of every session, for the console.
     pub quick_look: Option<QuickLookConfig>,
+    /// Whether the console begins with moving pictures while nothing is recorded (`[console] live_preview`).
+    pub live_preview: bool,
     /// Where a worker of this machine keeps its results (`[worker]`); its state is shown with the node's.
     pub worker_results: Option<PathBuf>,
     /// The cameras, in the rig's order.
@@ -261,6 +263,11 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         section.finish();
         config
     });
+    let live_preview = root.optional_section("console").is_none_or(|section| {
+        let live_preview = section.flag_or("live_preview", true);
+        section.finish();
+        live_preview
+    });
     let worker_results = root.optional_section("worker").map(|section| {
         let results = base.join(section.text("results"));
         section.finish();
@@ -306,6 +313,7 @@ fn read_node(root: Section<'_>, base: &Path) -> Option<NodeConfig> {
         on_link_lost: acquisition.on_link_lost,
         realtime,
         quick_look,
+        live_preview,
         worker_results,
         cameras,
         rig,

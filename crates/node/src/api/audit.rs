@@ -13,7 +13,7 @@ use super::refusal::Refusal;
 use super::transport::Link;
 use crate::base::time::host_time_ns;
 use crate::base::{Exit, Fault, regular};
-use crate::control::request::{Phase, is_zero};
+use crate::control::request::is_zero;
 use crate::control::status::{SessionStatus, Via, path};
 use crate::control::tokens::Role;
 use axum::extract::{Request, State};
@@ -177,13 +177,17 @@ pub(super) async fn audited(State(shared): State<Shared>, request: Request, next
     let caller = request.extensions().get::<Caller>().cloned();
     let what = what_of(&request);
     let secret = request.uri().path() == path::LOGIN;
+    let is_preview = request.uri().path() == path::PREVIEW;
     let sent = request.extensions().get::<Sent>().filter(|_| !secret).cloned();
     // On a task of its own: a client that goes away while it waits takes neither the request nor its line along.
     let work = async move {
         let response = next.run(request).await;
         // The caller of a login is known by the answer only.
         let caller = caller.or_else(|| response.extensions().get::<Caller>().cloned());
-        write_down(&shared, &link, caller, what, sent, response.status()).await;
+        // A preview that goes on is no change.
+        if !(is_preview && response.status() == StatusCode::NO_CONTENT) {
+            write_down(&shared, &link, caller, what, sent, response.status()).await;
+        }
         response
     };
     tokio::spawn(work).await.unwrap_or_else(|e| {
@@ -214,7 +218,7 @@ async fn write_down(
     let requested = line.request.as_ref().and_then(|request| request.get("session_id")?.as_u64());
     let concerned = node.session.as_ref().filter(|session| match requested {
         Some(requested) => session.session_id == requested,
-        None => node.phase != Phase::Idle,
+        None => !node.is_free(),
     });
     line.concerns(concerned);
     // A session that has just been prepared may not be in the status yet.

@@ -6,11 +6,15 @@
 
 use super::participant::Participant;
 use super::report::Captured;
-use super::request::{Control, Stage};
+use super::request::{CaptureRequest, Control, Stage};
+use super::run::capture;
 use super::series::{self, Series};
 use crate::base::{Exit, Fault};
+use crate::control::request::Phase;
+use crate::preview::Interest;
 use serde::Serialize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 /// Makes the list of nodes for a capture; called anew for each.
 pub type Participants = Arc<dyn Fn() -> Vec<Box<dyn Participant>> + Send + Sync>;
@@ -47,18 +51,32 @@ pub struct CaptureState {
 pub struct Coordinator {
     cast: Participants,
     shared: Arc<Mutex<Shared>>,
+    /// Pages that show pictures.
+    looking: Arc<Interest>,
 }
 
 #[derive(Default)]
 struct Shared {
     state: Option<CaptureState>,
     control: Arc<Control>,
+    preview: Preview,
 }
+
+/// The preview of this node's pages.
+#[derive(Default)]
+struct Preview {
+    runs: bool,
+    /// When the last one ended with a failure.
+    failed: Option<Instant>,
+}
+
+/// Time after a preview that failed in which none begins.
+const PREVIEW_PAUSE: Duration = Duration::from_secs(5);
 
 impl Coordinator {
     /// On these nodes. The first of them should be this one: it starts the train.
     pub fn new(cast: Participants) -> Self {
-        Self { cast, shared: Arc::default() }
+        Self { cast, shared: Arc::default(), looking: Arc::default() }
     }
 
     /// The capture under way, or the last one.
@@ -96,6 +114,57 @@ impl Coordinator {
             return Err(Fault::new(Exit::Failure, format!("cannot start a thread: {error}")));
         }
         Ok(number)
+    }
+
+    /// Somebody looks at the pictures: cameras run on all nodes that are idle, without recording, until two seconds after
+    /// the last call. `true`: a preview begins with this call.
+    pub fn preview(&self, operator: String) -> Result<bool, Fault> {
+        self.looking.note();
+        let mut shared = self.shared();
+        let captures = shared.state.as_ref().is_some_and(|state| state.running);
+        let waits = shared.preview.failed.is_some_and(|failed| failed.elapsed() < PREVIEW_PAUSE);
+        if captures || shared.preview.runs || waits {
+            return Ok(false);
+        }
+        let this = self.clone();
+        let run = move || this.run_preview(operator);
+        std::thread::Builder::new()
+            .name("pictures".to_owned())
+            .spawn(run)
+            .map_err(|error| Fault::new(Exit::Failure, format!("cannot start a thread: {error}")))?;
+        shared.preview.runs = true;
+        Ok(true)
+    }
+
+    fn run_preview(&self, operator: String) {
+        let nodes = (self.cast)();
+        // One of another node's pages shows the same pictures.
+        let all_idle = nodes.iter().all(|node| node.status().is_ok_and(|status| status.phase == Phase::Idle));
+        let wish = CaptureRequest {
+            name: Some("preview".to_owned()),
+            dry_run: true,
+            preview: true,
+            on_behalf_of: Some(operator),
+            ..CaptureRequest::default()
+        };
+        let control = Control::default();
+        let ended = all_idle.then(|| {
+            capture(&nodes, &wish, &control, |_| {
+                if !self.looking.is_fresh() {
+                    control.stop();
+                }
+            })
+        });
+        let mut shared = self.shared();
+        shared.preview.runs = false;
+        shared.preview.failed = match ended {
+            Some(Err(fault)) if !control.end_was_requested() => {
+                tracing::info!("the preview ended: {}", fault.message);
+                Some(Instant::now())
+            }
+            None => Some(Instant::now()),
+            _ => None,
+        };
     }
 
     /// Ends the capture after the current trigger.

@@ -63,7 +63,7 @@ impl<'a> Watch<'a> {
         loop {
             let statuses: Vec<_> = self.nodes.iter().filter_map(|node| node.status().ok()).collect();
             let outcomes = statuses.iter().map(|status| {
-                let session = status.session.as_ref().filter(|s| s.session_id == self.session_id)?;
+                let session = status.session_of(self.session_id)?;
                 Some((&status.node, session.outcome.as_ref()?))
             });
             let outcomes: Vec<_> = outcomes.flatten().collect();
@@ -95,9 +95,9 @@ impl<'a> Watch<'a> {
                 return Err(Fault::new(Exit::Device, message));
             };
             *answered = Instant::now();
-            match status.session.filter(|session| session.session_id == self.session_id) {
+            match status.session_of(self.session_id) {
                 Some(session) => {
-                    if let Some(Outcome::Failed(fault)) = session.outcome {
+                    if let Some(Outcome::Failed(fault)) = &session.outcome {
                         let message = format!("node {}: {}", status.node, fault.message);
                         return Err(Fault { exit: fault.exit, message });
                     }

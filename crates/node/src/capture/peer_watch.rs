@@ -66,7 +66,8 @@ impl Watch {
     fn look(&mut self) {
         let Ok(status) = self.here.status() else { return };
         let waits_for_all = matches!(status.phase, Phase::Ready | Phase::Holding | Phase::Running);
-        let Some(session) = status.session.as_ref().filter(|_| waits_for_all) else {
+        let current = if status.is_in_preview() { &status.preview } else { &status.session };
+        let Some(session) = current.as_ref().filter(|_| waits_for_all) else {
             self.session = None;
             return;
         };
@@ -121,7 +122,7 @@ enum Seen {
 
 fn judge(session_id: u64, status: Option<&NodeStatus>) -> Seen {
     let Some(status) = status else { return Seen::Silent };
-    match status.session.as_ref().filter(|session| session.session_id == session_id) {
+    match status.session_of(session_id) {
         None => Seen::NotInSession,
         Some(SessionStatus { outcome: Some(Outcome::Failed(fault)), .. }) => {
             Seen::Ended(fault.message.clone())

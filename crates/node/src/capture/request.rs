@@ -30,6 +30,9 @@ pub struct CaptureRequest {
     pub post_trigger_s: Option<f64>,
     /// Everything is done as in a session, but nothing is recorded.
     pub dry_run: bool,
+    /// A dry run for those who look at the pictures, which gives way to everything else; never taken from a request.
+    #[serde(skip)]
+    pub preview: bool,
     /// A part of the rig is meant: without this all nodes of the rig take part.
     pub partial: bool,
     /// Seconds from the moment at which every node is ready to the first trigger.

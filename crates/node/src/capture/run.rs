@@ -73,7 +73,8 @@ fn not_begun(reason: &str) -> Fault {
 fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<(SessionRequest, Span), Fault> {
     let usage = |message: String| Fault::new(Exit::Usage, message);
     for (i, status) in statuses.iter().enumerate() {
-        if status.phase != Phase::Idle {
+        // A preview gives way to all but another preview.
+        if status.phase != Phase::Idle && (wish.preview || !status.is_free()) {
             return Err(usage(format!(
                 "node {} is busy with a session ({:?}); wait or abort it",
                 status.node, status.phase
@@ -129,6 +130,7 @@ fn request(wish: &CaptureRequest, statuses: &[NodeStatus]) -> Result<(SessionReq
         start_on: wish.start_on,
         pre_triggers: span.before,
         dry_run: wish.dry_run,
+        preview: wish.preview,
         on_behalf_of: wish.on_behalf_of.clone(),
     };
     request.check().map_err(usage)?;
@@ -221,8 +223,7 @@ fn follow(
             if latest[i].as_ref().is_some_and(|session| session.outcome.is_some()) {
                 continue;
             }
-            let answer =
-                node.status().map(|status| status.session.filter(|s| s.session_id == request.session_id));
+            let answer = node.status().map(|status| status.session_of(request.session_id).cloned());
             match answer {
                 Ok(Some(session)) => {
                     seen[i] = Instant::now();

@@ -33,6 +33,10 @@ pub struct SessionRequest {
     /// Everything but the recording: frames are counted and judged, nothing is written.
     #[serde(default)]
     pub dry_run: bool,
+    /// A dry run without an end for those who look at the pictures: it ends as soon as the node is asked for anything
+    /// else.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub preview: bool,
     /// Whom the node that runs the capture serves; the other nodes' audit logs name them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub on_behalf_of: Option<String>,
@@ -54,6 +58,10 @@ impl SessionRequest {
         if self.pre_triggers > 0 && (self.triggers > 0 || self.dry_run || self.start_on.is_some()) {
             let expected = "expected no number of triggers, no dry run and no start at an edge with it";
             return Err(format!("{} triggers before Record; {expected}", self.pre_triggers));
+        }
+        if self.preview && (!self.dry_run || self.triggers > 0 || self.start_on.is_some()) {
+            let expected = "expected a dry run without a number of triggers and without a start at an edge";
+            return Err(format!("a preview that records or ends by itself; {expected}"));
         }
         SessionName::parse(&self.name)
     }

@@ -48,8 +48,14 @@ pub struct NodeStatus {
     /// Recordings of this node that were found unfinished when it started.
     #[serde(default)]
     pub interrupted: Vec<Interrupted>,
-    /// The session in progress, or the last one.
+    /// The session in progress, or the last one; previews are none.
     pub session: Option<SessionStatus>,
+    /// The preview in progress, or the last one.
+    #[serde(default)]
+    pub preview: Option<SessionStatus>,
+    /// Whether the console begins with moving pictures while nothing is recorded.
+    #[serde(default)]
+    pub live_preview: bool,
     /// What is measured, judged by the thresholds of `fourdbody::telemetry`.
     #[serde(default)]
     pub judgements: Vec<Judgement>,
@@ -62,6 +68,23 @@ pub struct NodeStatus {
     /// When the node's thread last published all this.
     #[serde(skip)]
     pub published: Option<Instant>,
+}
+
+impl NodeStatus {
+    /// Whether cameras run for a preview, which gives way to everything else.
+    pub fn is_in_preview(&self) -> bool {
+        self.phase != Phase::Idle && self.preview.as_ref().is_some_and(|preview| preview.outcome.is_none())
+    }
+
+    /// Whether a session can begin here: the node is in none, or only in a preview.
+    pub fn is_free(&self) -> bool {
+        self.phase == Phase::Idle || self.is_in_preview()
+    }
+
+    /// The session or preview with this id, in progress or the last one.
+    pub fn session_of(&self, session_id: u64) -> Option<&SessionStatus> {
+        [&self.session, &self.preview].into_iter().flatten().find(|one| one.session_id == session_id)
+    }
 }
 
 /// The state of the worker on this machine.
@@ -475,6 +498,7 @@ pub struct PeerState {
 /// Where the API lies on a node.
 pub mod path {
     /// GET: the capture that the node runs; POST [`crate::capture::series::Series`]: begins one.
+    pub const PREVIEW: &str = "/api/v1/preview";
     pub const CAPTURE: &str = "/api/v1/capture";
     pub const CAPTURE_STOP: &str = "/api/v1/capture/stop";
     /// POST: keeps what is held, and records.

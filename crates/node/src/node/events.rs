@@ -91,6 +91,7 @@ impl Node {
         self.note(EventKind::HsuLinkLost, None, message.as_str());
         self.devices.drop_hsu(message);
         self.in_session(|session| {
+            session.link_lost.get_or_insert_with(Instant::now);
             if let Some(keeper) = &session.link_keeper {
                 keeper.reconnect(session.next_trigger);
             }
@@ -103,6 +104,13 @@ impl Node {
         self.devices.take_hsu(hsu);
         let message = "the HSU answers again; triggers fired meanwhile are requested";
         self.note(EventKind::HsuLinkBack, None, message);
+        self.in_session(|session| {
+            if let Some(lost) = session.link_lost.take() {
+                let seconds = lost.elapsed().as_secs_f64();
+                let text = format!("the line to the HSU was lost for {seconds:.1} s, and is back");
+                session.notice("the line to the HSU", Some(text));
+            }
+        });
         self.take(Event::LinkBack);
     }
 

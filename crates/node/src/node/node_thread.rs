@@ -71,6 +71,8 @@ impl NodeThread {
             free_bytes: 0,
             interrupted: Vec::new(),
             session: None,
+            preview: None,
+            live_preview: config.live_preview,
             judgements: Vec::new(),
             worker: None,
             age_s: 0.0,
@@ -89,6 +91,7 @@ impl NodeThread {
             telemetry: Arc::clone(&telemetry),
             memory: ProcessMemory::at_start(),
             pending: None,
+            waiting: None,
             status: Arc::clone(&status),
             origin: Instant::now(),
             ticked: Instant::now(),
@@ -129,6 +132,8 @@ pub(crate) struct Node {
     pub(crate) memory: ProcessMemory,
     /// Answers the request for the preparation under way.
     pending: Option<Reply>,
+    /// What a preview gives way to, while it ends.
+    waiting: Option<Command>,
     status: SharedStatus,
     /// From here on time is counted, but for the times in which this thread did not run.
     origin: Instant,
@@ -180,6 +185,11 @@ impl Node {
             }
         }
         self.take(Event::Tick);
+        if self.machine.phase() == Phase::Idle
+            && let Some(command) = self.waiting.take()
+        {
+            self.command(command);
+        }
         if self.machine.phase() == Phase::Idle {
             // Opening one device may take seconds: the state of the others is published before.
             if self.devices.notice_lost() {
@@ -192,6 +202,10 @@ impl Node {
     }
 
     fn command(&mut self, command: Command) {
+        if self.gives_way_to(&command) {
+            self.waiting = Some(command);
+            return self.take(Event::Abort("the preview gives way".to_owned()));
+        }
         match command {
             Command::Prepare(request, reply) => self.prepare(request, reply),
             Command::Start(command, reply) => self.session_command(&command, reply, Event::Start),
@@ -199,10 +213,34 @@ impl Node {
             Command::Stop(command, reply) => self.session_command(&command, reply, Event::Stop),
             Command::Abort(command, reply) => {
                 let reason = command.reason.clone().unwrap_or_else(|| "aborted by the operator".to_owned());
+                if self.give_up_waiting(&command, &reason) {
+                    return drop(reply.send(Ok(())));
+                }
                 self.session_command(&command, reply, Event::Abort(reason));
             }
             Command::Expose(request, reply) => drop(reply.send(self.expose(&request))),
         }
+    }
+
+    /// Whether a preview has to end before this can be carried out. One command waits at a time.
+    fn gives_way_to(&self, command: &Command) -> bool {
+        let in_preview = self.machine.request().is_some_and(|request| request.preview);
+        let wants_the_cameras = match command {
+            Command::Prepare(request, _) => !request.preview,
+            Command::Expose(..) => true,
+            _ => false,
+        };
+        in_preview && wants_the_cameras && self.waiting.is_none()
+    }
+
+    /// Ends a session that waits for a preview to end; `false`: it is not this one.
+    fn give_up_waiting(&mut self, command: &SessionCommand, reason: &str) -> bool {
+        let ours = |waiting: &Command| matches!(waiting, Command::Prepare(request, _) if request.session_id == command.session_id);
+        let Some(Command::Prepare(_, reply)) = self.waiting.take_if(|waiting| ours(waiting)) else {
+            return false;
+        };
+        drop(reply.send(Err(Fault::new(Exit::Failure, reason))));
+        true
     }
 
     fn prepare(&mut self, request: SessionRequest, reply: Reply) {
@@ -424,7 +462,12 @@ impl Node {
         status.hsu = hsu;
         status.warnings = realtime::warnings().into_iter().map(|warning| warning.message).collect();
         status.free_bytes = free;
-        status.session = session;
+        // A preview hides no session, whose verdict somebody still waits for.
+        if self.session.as_ref().is_some_and(|session| session.request.preview) {
+            status.preview = session;
+        } else {
+            status.session = session;
+        }
         status.published = Some(Instant::now());
     }
 }

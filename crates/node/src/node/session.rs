@@ -47,6 +47,8 @@ pub(crate) struct Session {
     pub(crate) silence: SilenceWatch,
     /// When a trigger was last reported.
     pub(crate) last_trigger: Option<Instant>,
+    /// Since when the line to the HSU is lost.
+    pub(crate) link_lost: Option<Instant>,
     pub(crate) outcome: Option<Outcome>,
     pub(crate) kept: Option<KeepRequest>,
     /// Frames that fit into the ring.
@@ -81,6 +83,7 @@ impl Session {
             next_trigger: 0,
             silence: SilenceWatch::new(cameras),
             last_trigger: None,
+            link_lost: None,
             outcome: None,
             kept: None,
             ring_capacity: 0,

@@ -7,7 +7,6 @@ use super::sequence::Described;
 use crate::base::ids::NodeId;
 use crate::base::{Exit, Fault, json};
 use crate::control::command::{Reply, SharedStatus};
-use crate::control::request::Phase;
 use crate::host::idle_process;
 use crate::record::catalogue;
 use crate::worker::done::Done;
@@ -201,8 +200,7 @@ impl Work {
     }
 
     fn check_idle(&self) -> Result<(), Fault> {
-        let phase = self.status.read().unwrap_or_else(PoisonError::into_inner).phase;
-        if phase == Phase::Idle {
+        if self.status.read().unwrap_or_else(PoisonError::into_inner).is_free() {
             return Ok(());
         }
         let message = format!(

@@ -8,7 +8,6 @@
 use crate::base::ids::NodeId;
 use crate::batch::result::Clouds;
 use crate::config::QuickLookConfig;
-use crate::control::request::Phase;
 use crate::control::status::{NodeStatus, Outcome};
 use crate::data::{Cloud, FrameSource};
 use crate::record::{SessionReader, node_dir};
@@ -197,14 +196,14 @@ impl Inner {
     }
 
     fn is_idle(&self) -> bool {
-        self.status.read().unwrap_or_else(PoisonError::into_inner).phase == Phase::Idle
+        self.status.read().unwrap_or_else(PoisonError::into_inner).is_free()
     }
 
     /// The last session, if it has ended with a recording.
     fn just_recorded(&self) -> Option<(u64, String)> {
         let status = self.status.read().unwrap_or_else(PoisonError::into_inner);
         let session = status.session.as_ref().filter(|session| !session.dry_run)?;
-        let recorded = matches!(session.outcome, Some(Outcome::Recorded(_))) && status.phase == Phase::Idle;
+        let recorded = matches!(session.outcome, Some(Outcome::Recorded(_))) && status.is_free();
         recorded.then(|| (session.session_id, session.name.clone()))
     }
 

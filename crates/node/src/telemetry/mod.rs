@@ -125,7 +125,7 @@ impl Telemetry {
             ("fourdbody_disk_free_bytes", "Free space where sessions are recorded.", Kind::Gauge, free),
             ("fourdbody_disk_left_seconds", "How long a session can be.", Kind::Gauge, left),
             ("fourdbody_node_turns_total", "Turns of the node's thread.", Kind::Counter, turns),
-            ("fourdbody_sessions_total", "Sessions prepared.", Kind::Counter, sessions),
+            ("fourdbody_sessions_total", "Sessions and previews prepared.", Kind::Counter, sessions),
         ];
         families.extend(single.map(Family::single));
         if let Some(current) = self.current() {

@@ -4,7 +4,6 @@
 use crate::base::Fault;
 use crate::config::WorkerNode;
 use crate::control::client::{Credentials, NodeClient};
-use crate::control::request::Phase;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -32,9 +31,8 @@ impl GiveWay {
             let (watched, ended, name) = (Arc::clone(&seen), Arc::clone(&ended), node.name.clone());
             let watch = move || {
                 while !ended.load(Ordering::Acquire) {
-                    let phase = client.status().map_or(Phase::Idle, |status| status.phase);
-                    let text =
-                        (phase != Phase::Idle).then(|| format!("node {name}: {phase:?}").to_lowercase());
+                    let busy = client.status().ok().filter(|status| !status.is_free());
+                    let text = busy.map(|status| format!("node {name}: {:?}", status.phase).to_lowercase());
                     *watched.lock().unwrap_or_else(PoisonError::into_inner) = text;
                     std::thread::sleep(POLL);
                 }

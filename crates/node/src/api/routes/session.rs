@@ -26,6 +26,7 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
         .routes(routes!(stop))
         .routes(routes!(abort))
         .routes(routes!(get_capture, begin))
+        .routes(routes!(preview))
         .routes(routes!(record))
         .routes(routes!(stop_capture))
         .routes(routes!(abort_capture))
@@ -103,6 +104,17 @@ async fn begin(
 ) -> Result<(StatusCode, Json<CaptureBegun>), Refusal> {
     let number = shared.services.coordinator.begin(series, caller.name)?;
     Ok((StatusCode::ACCEPTED, Json(CaptureBegun { number })))
+}
+
+/// Somebody looks at the pictures: while no session runs, the cameras run without recording, until two seconds after the
+/// last request. Whatever else a node is asked for ends the preview first.
+#[utoipa::path(post, path = path::PREVIEW, tag = "preview", responses(
+    (status = 202, description = "The cameras are started."),
+    (status = 204, description = "The preview goes on, or a session keeps the cameras busy, or they are not ready."),
+    (status = 500, description = "The node failed at it.", body = Fault)))]
+async fn preview(State(shared): State<Shared>, caller: Caller, _: NoBody) -> Done {
+    let begins = shared.services.coordinator.preview(caller.name)?;
+    Ok(if begins { StatusCode::ACCEPTED } else { StatusCode::NO_CONTENT })
 }
 
 /// Keeps the seconds that are held, and records: for a capture with `pre_trigger_s` that this node runs.
