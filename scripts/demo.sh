@@ -43,6 +43,9 @@ step "export: what is shown, as files of other programs: the sequence, and the c
 $bin/fourdbody export "$out/result" --to mcap --out "$out/clouds" --json >"$out/export.json"
 $bin/fourdbody export "$out/result" --to ply --clouds merged,directional --triggers "$middle..$((middle + 1))" --out "$out/clouds"
 
+step "report: a page that plays the body, for any browser"
+$bin/fourdbody report "$out/sessions/demo" --clouds "$out/result" --play --out "$out/report.html"
+
 step "figures (points are per merged cloud), kept in $out/summary.json"
 $bin/fourdbody-sim summarize --scenario "$scenario" --rate-hz "$rate_hz" --capture "$out/capture.json" \
     --export "$out/export.json" --score "$out/score.json" \
@@ -51,6 +54,7 @@ $bin/fourdbody-sim summarize --scenario "$scenario" --rate-hz "$rate_hz" --captu
 cat <<EOT
 
 recorded $triggers triggers at $rate_hz Hz; look at
+  $out/report.html                in a browser: the body moves, and can be turned; verdict and light of the session
   $out/merged.png                 the merged body of trigger $middle from four sides
   $out/clouds/sequence.mcap       the merged clouds of all triggers, for viewers that play foxglove.PointCloud
   $out/clouds/merged/*.ply        the merged cloud of trigger $middle      $out/clouds/clouds/*.ply   those of its cameras

@@ -33,7 +33,7 @@ export function lightOf(name, id) {
 export function showLight(element, { name, light: { light, word, said } }) {
   element.className = `light ${light}`;
   element.title = said;
-  text(element, `calibration, ${name}: ${word} (${said})`);
+  text(element, `calibration, ${name}: ${said.startsWith(word) ? said : `${word} (${said})`}`);
 }
 
 /** The same in a list, where the sentence stands only where something is wrong. */

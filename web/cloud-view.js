@@ -104,7 +104,8 @@ export class CloudView {
     attribute(2, 1, gl.UNSIGNED_BYTE, true, 9);
     attribute(3, 1, gl.UNSIGNED_BYTE, false, 11);
     gl.enable(gl.DEPTH_TEST);
-    gl.clearColor(0, 0, 0, 1);
+    // A hole in the body is lighter than the body's shadows, so that nobody takes it for dark cloth.
+    gl.clearColor(0.3, 0.34, 0.38, 1);
   }
 
   draw() {
@@ -187,6 +188,12 @@ export class CloudView {
     this.draw();
   }
 
+  /** Looks from a side: azimuth about the vertical from +x, and height above the horizon, rad. */
+  look(azimuth, height) {
+    Object.assign(this, { azimuth, height });
+    this.draw();
+  }
+
   zoom(factor) {
     this.distance = Math.min(12, Math.max(0.4, this.distance * factor));
     this.draw();
@@ -210,20 +217,26 @@ export class CloudView {
       event.preventDefault();
       this.zoom(event.deltaY > 0 ? 1.1 : 1 / 1.1);
     }, { passive: false });
-    const keys = {
-      ArrowLeft: () => this.turn(0.1, 0), ArrowRight: () => this.turn(-0.1, 0),
-      ArrowUp: () => this.turn(0, 0.1), ArrowDown: () => this.turn(0, -0.1),
-      "+": () => this.zoom(1 / 1.15), "-": () => this.zoom(1.15),
-    };
     canvas.addEventListener("keydown", (event) => {
-      const act = keys[event.key];
-      if (!act) return;
+      if (!this.key(event.key)) return;
       event.preventDefault();
       event.stopPropagation();
-      act();
     });
   }
+
+  /** Does what a key stands for; false: it stands for nothing. */
+  key(name) {
+    const act = KEYS[name];
+    act?.(this);
+    return Boolean(act);
+  }
 }
+
+const KEYS = {
+  ArrowLeft: (view) => view.turn(0.1, 0), ArrowRight: (view) => view.turn(-0.1, 0),
+  ArrowUp: (view) => view.turn(0, 0.1), ArrowDown: (view) => view.turn(0, -0.1),
+  "+": (view) => view.zoom(1 / 1.15), "-": (view) => view.zoom(1.15),
+};
 
 /** The middle of the points in metres; null without any. */
 function middleOf(view, points) {

@@ -1,6 +1,7 @@
 // The console of one node: asks the nodes again and again, and has every part show what they told a moment ago.
 
-import { onAct, showControls } from "./controls.js";
+import { showBody } from "./body-panel.js";
+import { keepPictures, onAct, showControls } from "./controls.js";
 import { $, span, text } from "./elements.js";
 import { showExposure } from "./exposure.js";
 import { showHeader } from "./header.js";
@@ -12,7 +13,7 @@ import { losses, showStage } from "./stage.js";
 import { refreshTakes } from "./takes.js";
 import { refreshPictures, showTiles } from "./tiles.js";
 import { showTimeLine } from "./time-line.js";
-import { GONE_S, isPreview, nodes, silence_s, take, told } from "./told.js";
+import { GONE_S, LATE_S, nodes, silence_s, take, told } from "./told.js";
 
 const POLL_MS = 300;
 
@@ -26,21 +27,24 @@ function show() {
   showControls();
   showExposure();
   const lost = (losses() ?? []).reduce((sum, camera) => sum + camera.lost, 0);
-  listen(told.capture, lost, told.capture && isPreview(told.capture));
+  listen(told.capture, lost);
   watchConnection();
 }
 
 function watchConnection() {
   const silent = silence_s();
   const gone = silent > GONE_S;
-  $("gone").hidden = !gone;
-  $("console").classList.toggle("stale", gone);
-  if (gone) text($("gone"), `NO NEWS FROM NODE ${told.status.node} FOR ${span(silent)}: nothing here is current`);
+  $("gone").hidden = silent <= LATE_S;
+  $("gone").className = gone ? "bad" : "";
+  $("console").classList.toggle("stale", silent > LATE_S);
+  const news = `No news from node ${told.status.node} for ${span(silent)}`;
+  text($("gone"), gone ? `${news.toUpperCase()}: nothing here is current` : news);
 }
 
 async function refreshCapture() {
   const before = told.capture;
   take("capture", await node.capture());
+  if (told.capture?.running && !before?.running) showBody("live");
   const taken = told.capture?.takes ?? [];
   const isNew = before && (before.number !== told.capture?.number ? taken.length > 0 : taken.length > before.takes.length);
   if (isNew || (before?.running && !told.capture?.running)) {
@@ -127,6 +131,7 @@ forever(async () => take("status", await node.status()), POLL_MS);
 forever(async () => take("peers", await node.peers()), POLL_MS);
 forever(refreshCapture, POLL_MS);
 forever(() => Promise.all(nodes().filter(({ status }) => status).map(({ peer }) => refreshPictures(peer).catch(() => {}))), POLL_MS);
+forever(keepPictures, 800);
 showLiveBody(() => !$("console").hidden);
 forever(refreshLook, 600);
 forever(refreshTakes, 5000);

@@ -1,9 +1,10 @@
 // Exposure and gain of the heads: what is set, what would be right, and a form that sets it on all nodes at once.
 
 import { $, make, text } from "./elements.js";
+import { say } from "./controls.js";
 import { node } from "./node-client.js";
-import { exposureOf } from "./tiles.js";
-import { isPreview, nodes, told } from "./told.js";
+import { exposureOf, onBrighten } from "./tiles.js";
+import { nodes, told } from "./told.js";
 
 /** Rows of the form, by head. */
 const rows = new Map();
@@ -77,29 +78,6 @@ export function showExposure() {
   if ($("exposure-heads").childElementCount !== forms.length) $("exposure-heads").replaceChildren(...forms);
 }
 
-const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
-
-/** Whether no node is in a session: asked now, since what was told a moment ago may be of another one. */
-async function isIdle() {
-  const [capture, status, peers] = await Promise.all([node.capture(), node.status(), node.peers()]);
-  return !capture?.running && [status, ...peers.map((peer) => peer.status)].every((one) => !one || one.phase === "idle");
-}
-
-/** A preview gives way for a moment: cameras are set while nothing is triggered. */
-async function withoutPreview(doing) {
-  const capture = await node.capture();
-  const preview = capture?.running && isPreview(capture);
-  if (preview) {
-    await node.stop();
-    for (let tries = 0; tries < 100 && !(await isIdle()); tries += 1) await pause(200);
-  }
-  try {
-    return await doing();
-  } finally {
-    if (preview) await node.begin({ wish: { dry_run: true, note: "preview" }, takes: 1 });
-  }
-}
-
 async function set(head, exposure_us, gain_db) {
   busy = true;
   text($("exposure-said"), `setting ${head} …`);
@@ -107,7 +85,7 @@ async function set(head, exposure_us, gain_db) {
   try {
     // A node that is gone is asked, too: what it does not take is told.
     const asked = nodes().filter(({ last }) => last?.cameras.some(({ exposure }) => exposure?.head === head));
-    const answers = await withoutPreview(() => Promise.allSettled(asked.map(({ peer }) => node.expose(peer, { heads: [head], exposure_us, gain_db }))));
+    const answers = await Promise.allSettled(asked.map(({ peer }) => node.expose(peer, { heads: [head], exposure_us, gain_db })));
     const lines = answers.flatMap(({ value, reason }, i) => (reason ? [`node ${asked[i].name}: ${reason.message}`] : value.cameras.map(taken)));
     const failed = answers.some(({ reason }) => reason);
     const ids = answers.flatMap(({ value }) => value?.cameras.map(({ id }) => id) ?? []);
@@ -135,3 +113,20 @@ $("exposure-open").addEventListener("click", () => {
   showExposure();
 });
 $("exposure-close").addEventListener("click", () => $("exposure").close());
+
+/** Sets a camera's head brighter or darker, within what the trigger period leaves; the dialog shows what was taken. */
+onBrighten(async (id, ev) => {
+  const head = heads().find(({ cameras }) => cameras.includes(id));
+  if (!head || head.us === null || busy) return;
+  await set(head.head, advised_us({ ...head, ev }), head.db);
+  say($("exposure-said").textContent.split("\n")[0]);
+});
+
+$("exposure-all").addEventListener("click", async () => {
+  const lines = [];
+  for (const head of heads().filter(({ us, ev }) => us !== null && ev !== null)) {
+    await set(head.head, advised_us(head), head.db);
+    lines.push($("exposure-said").textContent);
+  }
+  text($("exposure-said"), lines.join("\n") || "no picture of this minute has fringes: there is no advice");
+});

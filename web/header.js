@@ -1,7 +1,7 @@
 // The first line: the nodes with their devices, disks, workers, and who is logged in.
 
 import { $, count, make, span, text } from "./elements.js";
-import { OLD_S, cameraProblem, nodes, told } from "./told.js";
+import { LATE_S, cameraProblem, disks, nodes, told } from "./told.js";
 
 export function showHeader() {
   text($("rig"), `${told.status.rig}, ${told.status.trigger_rate_hz} Hz`);
@@ -19,7 +19,7 @@ function showDevices() {
     }
     const bad = status.cameras.flatMap((camera) => cameraProblem(node, camera) ?? []);
     const hsu = status.hsu.problem;
-    const old = age_s > OLD_S ? `, ${span(age_s)} old` : "";
+    const old = age_s > LATE_S ? `, no news for ${span(age_s)}` : "";
     const label = `${name} ${status.cameras.length - bad.length} of ${status.cameras.length}${hsu ? ", no HSU" : ", HSU"}${old}`;
     const kind = bad.length || hsu ? "bad" : old ? "soft" : "good";
     const told = [...bad, ...(hsu ? [hsu] : [])].join("\n");
@@ -37,12 +37,6 @@ function showDevices() {
   });
   while (list.childElementCount > entries.length) list.lastElementChild.remove();
 }
-
-/** The disk that is full first, as {name, seconds, grade}. */
-export const disks = () => nodes().flatMap(({ name, status }) => {
-  const judged = status?.judgements.find((judgement) => judgement.name === "disk_time_left");
-  return judged ? [{ name, seconds: judged.value, grade: judged.grade }] : [];
-});
 
 function showDisk() {
   const left = disks();

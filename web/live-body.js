@@ -1,6 +1,7 @@
 // The body of all cameras as the nodes reconstruct it while cameras run: it turns slowly, and says how old it is and what
 // of it is not seen.
 
+import { addView } from "./body-panel.js";
 import { CloudView } from "./cloud-view.js";
 import { $, text } from "./elements.js";
 import { Refused, node } from "./node-client.js";
@@ -19,8 +20,9 @@ const canvas = $("live-canvas");
 const view = new CloudView(canvas);
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 let last = null;
-let held_until = 0;
-for (const event of ["pointerdown", "keydown", "wheel"]) canvas.addEventListener(event, () => (held_until = performance.now() + 10000));
+let turns = true;
+for (const event of ["pointerdown", "keydown", "wheel"]) canvas.addEventListener(event, () => (turns = false));
+addView("live", view, (on) => (turns = on));
 
 const shares = (cameras) => cameras.map(({ camera, lit, points, refused }) => ({ camera, share: lit ? points / lit : 0, lit, refused }));
 
@@ -34,10 +36,10 @@ function said({ facts }, age_ms) {
 
 function show() {
   const age_ms = last ? last.facts.age_ms + performance.now() - last.at : Infinity;
-  section.hidden = age_ms > GONE_MS;
-  if (section.hidden) return;
+  const gone = age_ms > GONE_MS;
+  section.classList.toggle("none", gone);
   section.classList.toggle("old", age_ms > OLD_MS);
-  text($("live-detail"), said(last, age_ms));
+  text($("live-detail"), gone ? (told.noBody ? `no live body: ${told.noBody}` : "no live body: the cameras stand still, or see nobody") : said(last, age_ms));
 }
 
 /** Waits for the next frame set and shows it; throws where there will be none. */
@@ -45,9 +47,8 @@ async function next() {
   const answer = await node.live(last?.facts.number ?? 0);
   told.noBody = null;
   if (!answer) return;
-  const first = !last || section.hidden;
+  const first = !last || section.classList.contains("none");
   last = { facts: answer.facts, at: answer.at };
-  section.hidden = false;
   const points = view.show([answer.points], !first);
   canvas.dataset.points = String(points);
   view.onDraw = () => {
@@ -66,7 +67,7 @@ export async function showLiveBody(isOpen) {
   const turn = (now) => {
     const passed = Math.min(now - before, 100) / 1000;
     before = now;
-    if (!section.hidden && !still.matches && now > held_until) view.turn(TURN * passed, 0);
+    if (!section.classList.contains("none") && !still.matches && turns) view.turn(TURN * passed, 0);
     requestAnimationFrame(turn);
   };
   requestAnimationFrame(turn);

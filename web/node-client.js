@@ -47,6 +47,8 @@ export const node = {
   peers: () => get("/peers"),
   capture: () => get("/capture"),
   begin: (series) => post("/capture", series),
+  /** Somebody looks: cameras run without recording, until two seconds after the last call. */
+  preview: () => post("/preview"),
   record: () => post("/capture/record"),
   stop: () => post("/capture/stop"),
   abort: (reason) => post("/capture/abort", { reason }),

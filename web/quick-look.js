@@ -1,26 +1,32 @@
 // Quick looks at what was recorded: frame sets as clouds that turn under the mouse.
 
+import { addView, showBody, shown } from "./body-panel.js";
 import { CloudView } from "./cloud-view.js";
 import { $, make, text } from "./elements.js";
 import { node } from "./node-client.js";
 import { nodes } from "./told.js";
 
 const view = new CloudView($("cloud-canvas"));
+const TICK_MS = 50;
+/** One turn in half a minute. */
+const TURN_A_TICK = (2 * Math.PI * TICK_MS) / 30000;
 const look = { session: null, trigger: null, wanted: null };
 
-/** Which of takes and quick look is shown where there is no room for both. */
-export function showPanel(name) {
-  $("panels").dataset.panel = name;
-  for (const panel of ["sessions", "cloud"]) $(`tab-${panel}`).setAttribute("aria-selected", String(panel === name));
-}
-for (const panel of ["sessions", "cloud"]) $(`tab-${panel}`).addEventListener("click", () => showPanel(panel));
+let turns = true;
+addView("take", view, (on) => (turns = on));
+for (const event of ["pointerdown", "keydown", "wheel"]) $("cloud-canvas").addEventListener(event, () => (turns = false));
+const still = matchMedia("(prefers-reduced-motion: reduce)");
+setInterval(() => turns && !still.matches && shown() === "take" && view.points && view.turn(TURN_A_TICK, 0), TICK_MS);
 
-/** Asks all nodes for a look at a session; `forward` brings it to the front. */
-export async function openLook(session, forward = false) {
+/** Asks all nodes for a look at a take, which stands in the place of the live body until somebody is done with it. */
+export async function openLook(session) {
   Object.assign(look, { session, trigger: null, wanted: session });
-  text($("cloud-title"), `Quick look: ${session}`);
-  text($("cloud-detail"), "");
-  if (forward) showPanel("cloud");
+  text($("cloud-title"), session);
+  text($("cloud-detail"), "the nodes make a body of it");
+  view.show([]);
+  $("cloud-canvas").dataset.points = "0";
+  turns = true;
+  showBody("take");
   for (const { peer, status } of nodes()) if (status) await node.askLook(peer, session).catch((error) => text($("cloud-detail"), error.message));
   await refreshLook();
 }
@@ -58,3 +64,7 @@ async function showCloud(states, trigger) {
   for (const button of $("cloud-sets").children) button.setAttribute("aria-pressed", String(button.textContent === `trigger ${trigger}`));
   $("cloud-canvas").dataset.points = String(points);
 }
+
+/** The take that is shown. */
+export const lookedAt = () => look.session;
+$("cloud-close").addEventListener("click", () => showBody("live"));

@@ -37,13 +37,13 @@ export function play(name) {
  * Plays what has happened since this was called last. `capture` is the node's, `lost` how many frames are lost now.
  * A second of the countdown has no tick where no answer of the node came within it: a late one would deceive the subject.
  */
-export function listen(capture, lost, preview) {
+export function listen(capture, lost) {
   const left = capture?.running && capture.stage?.stage === "counting_down" ? capture.stage.left_s : null;
   const running = Boolean(capture?.running && capture.stage?.stage === "recording" && capture.stage.triggers);
   if (left !== null && left !== last.left) play("tick");
   if (running && !last.running) play("start");
   if (!running && last.running) play("end");
-  if (lost > last.lost && !preview) play("loss");
+  if (lost > last.lost) play("loss");
   Object.assign(last, { left, running, lost });
 }
 

@@ -1,7 +1,8 @@
 // State and verdict in letters that are read from three metres.
 
 import { $, count, text } from "./elements.js";
-import { GONE_S, isPreview, lossOf, nodes, problems, sessionsUnderWay, silence_s, told } from "./told.js";
+import { asked } from "./form.js";
+import { GONE_S, LATE_S, cannotRecord, isInPreview, lossOf, nodes, problems, sessionsUnderWay, silence_s, told } from "./told.js";
 import { lastVerdict } from "./verdict.js";
 
 /** Triggers as seconds. */
@@ -14,6 +15,7 @@ function clock(triggers, asked) {
 /** Where everything stands: {kind, word, clock, detail, share}. */
 export function state() {
   if (silence_s() > GONE_S) return { kind: "bad", word: "NO ANSWER", detail: `from node ${told.status.node}: nothing here is current` };
+  if (silence_s() > LATE_S) return { kind: "", word: "NO NEWS", detail: `from node ${told.status.node} for ${Math.floor(silence_s())} s` };
   const trouble = problems();
   const more = trouble.length ? [trouble.join("\n")] : [];
   const capture = told.capture;
@@ -27,9 +29,11 @@ export function state() {
     const [kind, word] = session.dry_run ? ["look", "DRY RUN"] : ["live", "RECORDING"];
     return { kind, word, clock: clock(session.triggers, session.triggers_asked), detail, share: share(session.triggers, session.triggers_asked) };
   }
-  if (trouble.length) return { kind: "bad", word: "NOT READY", detail: trouble.join("\n") };
+  const missing = cannotRecord(asked());
+  if (missing) return { kind: "bad", word: "NOT READY", detail: [missing, ...trouble.filter((one) => one !== missing)].join("\n") };
   const cameras = nodes().reduce((sum, { status }) => sum + status.cameras.length, 0);
-  return { kind: "good", word: "READY", detail: `all ${cameras} cameras and the trigger unit (HSU) are ready` };
+  const live = nodes().some(({ status }) => isInPreview(status)) ? "\nlive pictures; nothing is recorded" : "";
+  return { kind: "good", word: "READY", detail: `${cameras} cameras and the HSU answer${live}` };
 }
 
 const share = (triggers, asked) => (asked ? triggers / asked : null);
@@ -40,14 +44,14 @@ function underWay(capture, more) {
   const take = takes > 1 ? [`take ${capture.take} of ${takes}`] : [];
   const detail = (line) => [[...take, line].join(": "), ...more].join("\n");
   if (!at) return { kind: "warn", word: "PAUSE", detail: detail(`${count(capture.takes.length, "take")} done`) };
-  if (at.stage === "preparing") return { kind: "warn", word: "PREPARING", detail: detail("cameras and HSU of all nodes") };
+  if (at.stage === "preparing") return { kind: "warn", word: "PREPARING", detail: detail("cameras and HSU of all nodes; live pictures stop for a moment") };
   if (at.stage === "counting_down") return { kind: "warn", word: String(at.left_s), detail: detail("every node is ready") };
   if (at.stage === "unanswered") return { kind: "warn", word: "WAITING", detail: detail(`no status from ${at.place} for ${at.since_s} s; its session goes on`) };
   if (at.stage === "holding") return { kind: "look", word: "STANDBY", clock: clock(at.triggers, at.asked), detail: detail("nothing is recorded yet: press Record to keep these seconds"), share: share(at.triggers, at.asked) };
   if (at.stage === "awaiting_edge") return { kind: "warn", word: "WAITING", detail: detail(`for the start signal: a ${at.edge.rising ? "rising" : "falling"} edge of the HSU's input ${at.edge.line}`) };
   if (at.stage === "stopping") return { kind: "warn", word: "STOPPING", detail: detail("after the current trigger") };
   if (!at.triggers) return { kind: "warn", word: "STARTING", detail: detail("the cameras warm up") };
-  const [kind, word] = isPreview(capture) ? ["look", "PREVIEW"] : wish.dry_run ? ["look", "DRY RUN"] : ["live", "RECORDING"];
+  const [kind, word] = wish.dry_run ? ["look", "DRY RUN"] : ["live", "RECORDING"];
   return { kind, word, clock: clock(at.triggers, at.asked), detail: detail(count(at.frames, "frame")), share: share(at.triggers, at.asked) };
 }
 

@@ -2,7 +2,6 @@
 
 import { $, text } from "./elements.js";
 import { Refused, node } from "./node-client.js";
-import { isPreview } from "./told.js";
 
 const POLL_MS = 150;
 /** How long "done" stands before the screen says nothing again. */
@@ -12,7 +11,7 @@ let ended = null;
 /** {kind, word, detail, left}: what to tell for this capture. */
 function said(capture, rate) {
   const wait = { kind: "", word: "PLEASE WAIT", detail: "" };
-  if (!capture || isPreview(capture)) return wait;
+  if (!capture) return wait;
   const { takes } = capture.series;
   const more = takes > 1 ? `${capture.take} of ${takes}` : "";
   const at = capture.stage;

@@ -1,10 +1,11 @@
 // The takes on the disks, newest first: verdict, causes, rating and note, and a search.
 
+import { showBody } from "./body-panel.js";
 import { lamp, lightOf, refreshLights, showLight } from "./calibration-light.js";
 import { $, count, make, text } from "./elements.js";
 import { Refused, node } from "./node-client.js";
 import { playButton, playableOf, refreshPlayable } from "./playable.js";
-import { openLook } from "./quick-look.js";
+import { lookedAt, openLook } from "./quick-look.js";
 import { nodes, sessionsUnderWay, told } from "./told.js";
 import { causesOf, expectedOf, framesOf, kindOf, worstOf } from "./verdict.js";
 
@@ -36,7 +37,9 @@ export async function refreshTakes() {
     }
   });
   const silent = all.filter((_, i) => !lists[i]).map(({ name }) => name);
-  const takes = [...found.values()].sort((a, b) => b.created_ns - a.created_ns).slice(0, LISTED).map((session) => sumUp(session, silent));
+  // What is only held or prepared is no take yet.
+  const early = new Set(sessionsUnderWay().filter((session) => session.held || !session.triggers).map((session) => session.name));
+  const takes = [...found.values()].filter(({ name }) => !early.has(name)).sort((a, b) => b.created_ns - a.created_ns).slice(0, LISTED).map((session) => sumUp(session, silent));
   // What is looked for hides no light: that of the last session is shown with its verdict, and says whose it is.
   const [last] = takes;
   const ended = last && last.word !== "recording";
@@ -74,13 +77,16 @@ function sumUp({ name, created_ns, parts }, silent) {
 }
 
 function row(take) {
+  const facts = [new Date(take.created_ns / 1e6).toLocaleString([], { dateStyle: "short", timeStyle: "short" }), take.subject, take.expected ? `${take.frames} of ${count(take.expected, "frame")}` : "", take.note];
   const head = make("p", { className: "head" },
     make("span", { className: "verdict", textContent: take.word.toUpperCase() }),
-    make("span", { className: "name", textContent: take.name }));
-  const facts = [new Date(take.created_ns / 1e6).toLocaleString([], { dateStyle: "short", timeStyle: "short" }), take.subject, take.expected ? `${take.frames} of ${count(take.expected, "frame")}` : "", take.note];
-  const item = make("li", { className: take.kind }, head, make("p", { className: "facts", textContent: facts.filter(Boolean).join(" · ") }));
-  if (take.causes.length) item.append(make("p", { className: "causes", textContent: take.causes.join("; ") }));
-  if (take.word !== "recording") item.append(lamp(take.light));
+    make("span", { className: "name", textContent: take.name }),
+    make("span", { className: "facts", textContent: facts.filter(Boolean).join(" · ") }));
+  const item = make("li", { className: take.kind }, head);
+  const below = make("div", { className: "below" });
+  if (take.word !== "recording") below.append(lamp(take.light));
+  if (take.causes.length) below.append(make("p", { className: "causes", textContent: take.causes.join("; ") }));
+  item.append(below);
   item.append(remarkOf(take));
   item.dataset.name = take.name;
   return item;
@@ -98,7 +104,7 @@ function remarkOf(take) {
   });
   const note = make("input", { value: remark.note ?? "", placeholder: "note on this take", maxLength: 500, disabled: !may, onchange: () => keep({ note: note.value.trim() || null }) });
   note.setAttribute("aria-label", `note on ${take.name}`);
-  const look = make("button", { type: "button", textContent: "Quick look", onclick: () => openLook(take.name, true) });
+  const look = make("button", { type: "button", textContent: "Quick look", onclick: () => openLook(take.name) });
   look.setAttribute("aria-label", `quick look at ${take.name}`);
   const mark = () => RATINGS.forEach(([rating], i) => buttons[i].setAttribute("aria-pressed", String(remark.rating === rating)));
   let kept = Promise.resolve();
@@ -119,6 +125,24 @@ function remarkOf(take) {
   mark();
   return make("div", {}, make("div", { className: "remark", role: "group" }, ...buttons, note, look, ...playButton(take)), problem);
 }
+
+/** Rates a take on all nodes, as its buttons in the list do. */
+async function rate(name, rating) {
+  const remark = [...known.lists.values()].flat().find((entry) => entry.name === name)?.remark ?? {};
+  await Promise.allSettled(nodes().map(({ peer }) => node.remark(peer, name, { rating, note: remark.note ?? null })));
+  await refreshTakes();
+}
+
+// After a take: it is good, or it is made again as it was asked for.
+$("keep").addEventListener("click", () => {
+  rate(lookedAt(), "good").catch(() => {});
+  showBody("live");
+});
+$("repeat").addEventListener("click", () => {
+  rate(lookedAt(), "bad").catch(() => {});
+  showBody("live");
+  if (!$("start").disabled) $("start").click();
+});
 
 let waiting = null;
 $("search").addEventListener("input", () => {

@@ -1,34 +1,38 @@
-// The cameras' tiles: what each sees, how good its light is, how old that is, and what is wrong.
+// The cameras' tiles: what each sees, whether it is good in one sign, how old it is, and what is wrong.
 
 import { $, make, span, text } from "./elements.js";
 import { node } from "./node-client.js";
-import { cameraProblem, lossOf, nodes } from "./told.js";
+import { cameraProblem, lossOf, nodes, told } from "./told.js";
 
 /** A picture that is older than this is not what the camera sees now. */
 const LIVE_S = 2;
 /** Advice by an older picture is of other light. */
 const ADVICE_S = 60;
-const FIGURES = [["saturated", "overexposed"], ["modulation", "stripes"], ["focus", "sharpness"], ["lost", "lost"]];
-/** Contrast of the stripes in one word, by its grade. */
-const STRIPES = { good: "good", fair: "fair", bad: "weak" };
+/** Largest step of the button beside a picture, EV. */
+const STEP_EV = 0.5;
+/** The signs, each of another shape, with what they stand for. */
+const SIGNS = { good: ["●", "good"], look: ["◆", "look here"], bad: ["▲", "bad"], none: ["○", "nothing is known"] };
 
 const cameras = new Map();
+let large = null; // the camera whose picture is enlarged
+let brighten = async () => {};
+
+/** Sets how a camera's head is made brighter or darker by some EV. */
+export const onBrighten = (doing) => (brighten = doing);
 
 function tile(id) {
   const picture = make("img", { alt: `what ${id} sees`, hidden: true });
   const empty = make("span", { textContent: "no picture yet" });
-  const age = make("span", { className: "age" });
-  const figures = Object.fromEntries(FIGURES.map(([key]) => [key, make("dd", { textContent: "–" })]));
-  for (const key of ["saturated", "modulation", "focus"]) figures[key].classList.add("fades");
-  const list = make("dl");
-  const labels = Object.fromEntries(FIGURES.map(([key, label]) => [key, make("dt", { textContent: label })]));
-  for (const [key] of FIGURES) list.append(make("div", {}, labels[key], figures[key]));
-  const problem = make("p", { className: "said problem" });
-  const advice = make("p", { className: "said advice", title: "opens exposure and gain (e)", onclick: () => $("exposure-open").click() });
+  const [sign, age] = [make("span", { className: "sign" }), make("span", { className: "age" })];
+  const frame = make("button", { type: "button", className: "frame", onclick: () => enlarge(id) }, empty, picture);
+  frame.setAttribute("aria-label", `enlarge ${id}`);
+  // What is wrong; where the exposure is, it is put right with a click.
+  const said = make("button", { type: "button", className: "said", disabled: true });
+  said.addEventListener("click", () => brighten(id, stepOf(id)));
   const box = make("figure", { className: "camera", id: `camera-${id}` },
-    make("figcaption", { className: "title" }, make("span", { className: "name", textContent: id }), age),
-    make("div", { className: "frame" }, empty, picture), list, problem, advice);
-  return { box, picture, empty, age, figures, labels, problem, advice, number: 0, url: null, best: 0, fact: null, at: 0 };
+    make("figcaption", { className: "title" }, sign, make("span", { className: "name", textContent: id }), age),
+    frame, said);
+  return { box, picture, empty, sign, age, said, number: 0, url: null, best: 0, fact: null, at: 0 };
 }
 
 /** How old a camera's picture is now, s; null where there is none. */
@@ -38,6 +42,13 @@ const ageOf = (shown) => (shown.fact?.number ? shown.fact.age_s + (performance.n
 export function exposureOf(id) {
   const shown = cameras.get(id);
   return shown && ageOf(shown) !== null && ageOf(shown) < ADVICE_S ? (shown.fact.light?.exposure ?? null) : null;
+}
+
+/** By how much the button beside a picture changes the exposure, EV; 0 where it is right. */
+function stepOf(id) {
+  const exposure = exposureOf(id);
+  if (!exposure || (Math.abs(exposure.ev) < 0.3 && exposure.saturated < 0.005)) return 0;
+  return Math.max(-STEP_EV, Math.min(STEP_EV, exposure.ev));
 }
 
 /** Shows every camera of every node, those of a node that is gone as well. */
@@ -52,30 +63,77 @@ export function showTiles() {
   const order = (id) => (id.endsWith("_low") ? `1${id}` : `0${id}`);
   const ids = [...cameras.keys()].sort((a, b) => order(a).localeCompare(order(b)));
   if ($("tiles").childElementCount !== ids.length) $("tiles").replaceChildren(...ids.map((id) => cameras.get(id).box));
+  if (large) showLarge();
 }
 
-/** By how much to change the exposure; nothing where it is right. */
-function exposureAdvice(exposure) {
-  if (!exposure || (Math.abs(exposure.ev) < 0.3 && exposure.saturated < 0.005)) return "";
-  const overexposed = exposure.saturated >= 0.005 ? `, ${(100 * exposure.saturated).toFixed(0)} % overexposed` : "";
-  const advice = exposure.ev < 0 ? "too bright: darken" : "too dark: brighten";
-  return `${advice} by ${Math.abs(exposure.ev).toFixed(1)} EV${overexposed}`;
+/** What is to be said of a picture's light, the worst first: {kind, words}; nothing where it is good. */
+function remarks({ light, grades }) {
+  const found = [];
+  const kind = { bad: "bad", fair: "look" };
+  const overexposed = `overexposed: ${(100 * light.saturated).toFixed(light.saturated < 0.1 ? 1 : 0)} %`;
+  if (kind[grades.saturated]) found.push({ kind: kind[grades.saturated], words: overexposed });
+  if (kind[grades.modulation]) found.push({ kind: kind[grades.modulation], words: "weak stripes" });
+  return found.sort((a, b) => a.kind.localeCompare(b.kind));
+}
+
+/** {kind, words} of a camera: what is wrong with it, then with its losses, then with its light. */
+function judge(shown, { problem, lost, live }) {
+  if (problem) return { kind: "bad", words: problem };
+  if (lost) return { kind: "bad", words: `${lost} lost` };
+  if (!live || !shown.fact?.light) return { kind: "none", words: "" };
+  return remarks(shown.fact)[0] ?? { kind: "good", words: "" };
 }
 
 function showTile(shown, from, camera) {
   const problem = cameraProblem(from, camera);
   const age = ageOf(shown);
   const live = !problem && age !== null && age < LIVE_S;
+  const running = from.last.session && !from.last.session.outcome;
+  shown.lost = running ? lossOf(from.last, camera.id) : 0;
+  shown.live = live;
+  const judged = judge(shown, { problem, lost: shown.lost, live });
   shown.box.className = `camera ${problem ? "bad" : live ? "live" : ""} ${live ? "" : "old"}`;
   shown.box.dataset.trigger = shown.fact?.trigger ?? "";
-  const old = age === null ? "" : live ? "live" : `${span(age)} old`;
-  text(shown.age, problem && age === null ? "▲" : problem ? `▲ ${old === "live" ? span(age) : old}` : old);
-  text(shown.problem, problem ?? "");
-  shown.problem.title = problem ?? "";
-  text(shown.advice, problem ? "" : exposureAdvice(shown.fact?.light?.exposure));
-  const lost = lossOf(from.last, camera.id);
-  const running = from.last.session && !from.last.session.outcome;
-  grade(shown.figures.lost, running ? String(lost) : "–", lost ? "bad" : "");
+  shown.box.dataset.sign = judged.kind;
+  const [sign, meaning] = SIGNS[judged.kind];
+  text(shown.sign, sign);
+  shown.sign.title = meaning;
+  text(shown.age, age === null ? "" : live ? "live" : age < 10 ? `${Math.floor(age)} s` : span(age));
+  shown.age.title = live ? "" : "how old the picture is";
+  const ev = problem || running || told.role === "view" ? 0 : stepOf(camera.id);
+  shown.said.disabled = ev === 0;
+  text(shown.said, ev ? `${ev < 0 ? "darken" : "brighten"} ½ step` : judged.words);
+  shown.said.title = judged.words;
+}
+
+function enlarge(id) {
+  large = id;
+  showLarge();
+  $("large").showModal();
+}
+$("large").addEventListener("close", () => (large = null));
+$("large-close").addEventListener("click", () => $("large").close());
+$("large-frame").addEventListener("click", () => $("large").close());
+
+/** The enlarged picture with the figures behind its sign. */
+function showLarge() {
+  const shown = cameras.get(large);
+  text($("large-title"), `Camera ${large}, ${shown.age.textContent || "no picture yet"}`);
+  $("large-picture").src = shown.picture.src;
+  $("large-picture").alt = shown.picture.alt;
+  const light = shown.fact?.light;
+  const figures = light ? [
+    ["overexposed", `${(100 * light.saturated).toFixed(2)} %`],
+    ["stripes", `${light.modulation_dn.toFixed(0)} DN, contrast ${(100 * light.contrast).toFixed(0)} %`],
+    // Sharpness has no right value: the best one so far stands beside it.
+    ["sharpness", `${light.focus.toFixed(2)}, best so far ${shown.best.toFixed(2)}`],
+    ["exposure", light.exposure ? `${light.exposure.ev < 0 ? "" : "+"}${light.exposure.ev.toFixed(1)} EV would be right` : "no advice"],
+    ["lost", String(shown.lost)],
+  ] : [];
+  const now = JSON.stringify(figures);
+  if ($("large-figures").dataset.now === now) return;
+  $("large-figures").dataset.now = now;
+  $("large-figures").replaceChildren(...figures.map(([name, value]) => make("div", {}, make("dt", { textContent: name }), make("dd", { textContent: value }))));
 }
 
 export async function refreshPictures(peer) {
@@ -84,7 +142,7 @@ export async function refreshPictures(peer) {
     if (!shown) continue;
     shown.fact = fact;
     shown.at = performance.now();
-    if (fact.light) showLight(shown, fact);
+    if (fact.light && ageOf(shown) < LIVE_S) shown.best = Math.max(shown.best, fact.light.focus);
     if (!fact.number || fact.number === shown.number) continue;
     const blob = await node.picture(peer, fact.camera);
     if (!blob) continue;
@@ -95,21 +153,4 @@ export async function refreshPictures(peer) {
     if (shown.url) URL.revokeObjectURL(shown.url);
     Object.assign(shown, { url, number: fact.number });
   }
-}
-
-function showLight(shown, { light, grades }) {
-  const live = ageOf(shown) < LIVE_S;
-  const kind = (key) => (live ? grades[key] : "");
-  grade(shown.figures.saturated, `${(100 * light.saturated).toFixed(2)} %`, kind("saturated"));
-  grade(shown.figures.modulation, STRIPES[grades.modulation], kind("modulation"));
-  shown.figures.modulation.title = `amplitude of the stripes ${light.modulation_dn.toFixed(0)} of 255 grey values, contrast ${(100 * light.contrast).toFixed(0)} %`;
-  if (live) shown.best = Math.max(shown.best, light.focus);
-  // Sharpness has no right value: the best one so far stands beside it.
-  text(shown.figures.focus, light.focus.toFixed(1));
-  text(shown.labels.focus, shown.best ? `sharp, best ${shown.best.toFixed(1)}` : "sharpness");
-}
-
-function grade(element, value, kind) {
-  text(element, value);
-  for (const [name, is] of [["good", "good"], ["fair", "warn"], ["bad", "bad"]]) element.classList.toggle(is, kind === name);
 }

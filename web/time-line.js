@@ -1,8 +1,7 @@
 // The time line of the session as it happens: losses of each camera, how full the ring is, and the disk.
 
 import { $, count, span, text } from "./elements.js";
-import { disks } from "./header.js";
-import { lossOf, nodes, sessionsUnderWay } from "./told.js";
+import { disks, lossOf, nodes, sessionsUnderWay } from "./told.js";
 
 /** Samples of the session that is shown: {trigger, losses by camera, ring, ring_high}. It stays until the next begins. */
 const shown = { id: null, asked: 0, name: "", samples: [], cameras: [] };
@@ -21,7 +20,7 @@ function ring(sessions) {
 function sample() {
   const parts = nodes().filter(({ last }) => last?.session && !last.session.outcome);
   const current = sessionsUnderWay();
-  if (!current.length) return;
+  if (!current.length) return finish();
   const [{ session_id, triggers_asked, name }] = current;
   if (shown.id !== session_id) Object.assign(shown, { id: session_id, asked: triggers_asked, name, samples: [], cameras: [] });
   const trigger = Math.max(...current.map((session) => session.triggers));
@@ -31,6 +30,16 @@ function sample() {
   const filled = ring(current);
   shown.samples.push({ trigger, losses, ring: filled.now, most: filled.most });
   if (shown.samples.length > SAMPLES_MAX) shown.samples = shown.samples.filter((_, i) => i % 2);
+}
+
+/** What came between the last look and the end of the session. */
+function finish() {
+  const ended = nodes().flatMap(({ status }) => (status?.session?.session_id === shown.id && status.session.outcome ? [status.session] : []));
+  const last = shown.samples.at(-1);
+  const trigger = Math.max(0, ...ended.map((session) => session.triggers));
+  if (!last || trigger <= last.trigger) return;
+  const losses = new Map(ended.flatMap((session) => session.cameras.map(({ id, gaps }) => [id, gaps])));
+  shown.samples.push({ ...last, trigger, losses });
 }
 
 const sum = (losses) => [...losses.values()].reduce((total, lost) => total + lost, 0);
@@ -111,7 +120,9 @@ function paintLane(pen, id, { row, lane, x, begin, size }) {
   // Where there is no room for every name, the first of each head stands.
   if (lane < size * 0.9 && row % 2) return;
   pen.fillStyle = before.lost ? colour("bad") : colour("soft");
+  if (lane < size * 0.9) pen.font = `${Math.max(9, Math.min(size, 1.8 * lane))}px system-ui, "DejaVu Sans", sans-serif`;
   pen.fillText(lane < size * 0.9 ? id.split("_")[0] : id, 2, y + (lane < size * 0.9 ? lane : lane / 2), begin - 6);
+  pen.font = `${size}px system-ui, "DejaVu Sans", sans-serif`;
 }
 
 function paintRing(pen, { top, height, x, begin }) {

@@ -1,10 +1,12 @@
 // What the nodes told last, how old that is, and what follows from it. Everything that is shown comes from here.
 
-/** A status that is older than this is told with its age; devices that do not answer hold a node up for some seconds. */
-export const OLD_S = 3;
+import { span } from "./elements.js";
 
-/** A page whose own node has not answered for so long shows nothing that is current. */
-export const GONE_S = 1.6;
+/** What is older than this is grey, with its age: a node is busy with its devices, or the network is slow. */
+export const LATE_S = 2;
+
+/** A node that has not answered for so long is gone: nothing that came from it is current. */
+export const GONE_S = 6;
 
 const now = () => performance.now() / 1000;
 
@@ -29,7 +31,7 @@ export function nodes() {
   return [...here, ...others].map((node) => {
     const heard = told.last.get(node.name);
     const unheard_s = heard ? now() - heard.at : Infinity;
-    const gone = !node.status || unheard_s > 2 * OLD_S;
+    const gone = !node.status || unheard_s > GONE_S;
     return { ...node, status: gone ? null : node.status, last: heard?.status ?? null, age_s: heard ? heard.status.age_s + unheard_s : Infinity };
   });
 }
@@ -37,9 +39,18 @@ export function nodes() {
 export const sessionsUnderWay = () =>
   nodes().filter(({ status }) => status?.session && !status.session.outcome).map(({ status }) => status.session);
 
+/** Whether a node runs its cameras only for those who look at the pictures. */
+export const isInPreview = (status) => status.phase !== "idle" && status.preview != null && !status.preview.outcome;
+
 /** How a node's session goes for a camera, while one is under way. */
 const progressOf = (status, id) =>
   status?.session && !status.session.outcome ? status.session.cameras.find((camera) => camera.id === id) : null;
+
+/** Whether a camera stays silent although triggers are fired. */
+const isSilent = (status, id) => {
+  const preview = isInPreview(status) ? status.preview.cameras.find((camera) => camera.id === id) : null;
+  return (progressOf(status, id) ?? preview)?.silent;
+};
 
 /** Frames that a camera owes, as far as can be said now: gaps, and every trigger since which a silent one was not heard. */
 export function lossOf(status, id) {
@@ -54,7 +65,7 @@ export function lossOf(status, id) {
 export function cameraProblem({ name, status, age_s }, camera) {
   if (!status) return Number.isFinite(age_s) ? `no status from node ${name} for ${Math.floor(age_s)} s` : `no status from node ${name}`;
   if (camera.problem) return camera.problem;
-  return progressOf(status, camera.id)?.silent ? "stopped sending pictures" : null;
+  return isSilent(status, camera.id) ? "stopped sending pictures" : null;
 }
 
 /** Everything that is wrong now, each in one sentence with its place; the same problem of several cameras is one sentence. */
@@ -68,11 +79,11 @@ export function problems() {
       found.push(`node ${name} does not answer${since}: is its PC on, and \`fourdbody node\` running there?`);
       continue;
     }
-    if (age_s > 2 * OLD_S) found.push(`node ${name} is busy with its devices: its status is ${Math.floor(age_s)} s old`);
+    if (age_s > GONE_S) found.push(`node ${name} is busy with its devices: its status is ${Math.floor(age_s)} s old`);
     for (const camera of status.cameras) {
       const problem = cameraProblem(node, camera);
       if (!problem) continue;
-      const words = problem.replace(`camera ${camera.id} `, "").replace(`camera ${camera.id}: `, "");
+      const words = problem.replace(`camera ${camera.id} `, "").replace(`camera ${camera.id}: `, "").replace(/^the camera /, "");
       cameras.set(words, [...(cameras.get(words) ?? []), camera.id]);
     }
     if (status.hsu.problem) found.push(`HSU at node ${name}: ${status.hsu.problem}`);
@@ -81,20 +92,36 @@ export function problems() {
   return [...each, ...found];
 }
 
-/** Why nothing can be started now; null when it can. A part of the rig is enough where that is asked for. */
-export function notReady(partial) {
+/** The disk that has no room for what is asked for, as a sentence; null where all have. `asked`: see form.js. */
+function fullDisk(asked) {
+  // Until Stop: a few seconds at least.
+  const needed_s = asked.seconds === null ? 5 : asked.takes * (asked.seconds + asked.before + asked.after);
+  for (const { name, seconds } of disks()) {
+    if (seconds <= 0) return `the disk of node ${name} is full: delete or move takes`;
+    if (seconds >= needed_s) continue;
+    return `the disk of node ${name} has room for ${span(seconds)}, and ${span(needed_s)} are asked for: delete or move takes, or record less`;
+  }
+  return null;
+}
+
+/** How much each disk can take, as {name, seconds, grade}. */
+export const disks = () => nodes().flatMap(({ name, status }) => {
+  const judged = status?.judgements.find((judgement) => judgement.name === "disk_time_left");
+  return judged ? [{ name, seconds: judged.value, grade: judged.grade }] : [];
+});
+
+/** Why cameras cannot be started now; null when they can. */
+export function cannotRun(asked) {
   if (silence_s() > GONE_S) return `node ${told.status.node} does not answer`;
   const [first] = problems();
   if (first) return first;
   const known = nodes();
-  const busy = known.find(({ status }) => status.phase !== "idle");
+  const busy = known.find(({ status }) => status.phase !== "idle" && !isInPreview(status));
   if (busy) return `node ${busy.name} is ${busy.status.phase}`;
-  const full = known.find(({ status }) => status.judgements.some(({ name, value }) => name === "disk_time_left" && value <= 0));
-  if (full) return `the disk of node ${full.name} is full: delete or move sessions`;
   const absent = told.status.rig_nodes.filter((name) => !known.some((node) => node.name === name));
-  if (absent.length && !partial) return `node ${absent.join(", ")} of the rig is not among this node's peers; tick Part to record without it`;
+  if (absent.length && !asked.partial) return `node ${absent.join(", ")} of the rig is not among this node's peers; tick Part to record without it`;
   return null;
 }
 
-/** A dry run without an end is what the preview button asks for. */
-export const isPreview = (capture) => capture.series.wish.dry_run && !capture.series.wish.duration_s && !capture.series.wish.triggers;
+/** Why nothing can be recorded now; null when Record would start. */
+export const cannotRecord = (asked) => cannotRun(asked) ?? fullDisk(asked);

@@ -1,7 +1,7 @@
 // What a take, a series or a session amounts to: a word, its kind, and every cause.
 
 import { count } from "./elements.js";
-import { isPreview, nodes, told } from "./told.js";
+import { nodes, told } from "./told.js";
 
 /** From the worst to the best. */
 const WORDS = ["aborted", "unfinished", "incomplete", "unconfirmed", "partial", "complete"];
@@ -36,7 +36,7 @@ function sumUp(take) {
     if (verdict) {
       sum.frames += framesOf(verdict);
       sum.expected += expectedOf(verdict);
-      sum.causes.push(...causesOf(verdict).map((cause) => `node ${node}: ${cause}`));
+      sum.causes.push(...[...causesOf(verdict), ...(session.notices ?? [])].map((cause) => `node ${node}: ${cause}`));
     } else {
       const written = session.cameras.reduce((frames, camera) => frames + camera.frames, 0);
       sum.causes.push(`node ${node}: ${session.outcome?.failed?.message ?? "no verdict"}; ${count(written, "frame")} at its last status`);
@@ -56,7 +56,6 @@ function saidOnce(message) {
 /** {kind, word, detail} of a series that has ended. */
 function ofCapture(capture) {
   const { wish, takes: asked } = capture.series;
-  if (isPreview(capture) && !capture.fault) return { kind: "", word: "", detail: "the preview has ended; nothing was recorded" };
   const takes = capture.takes.map(sumUp);
   const sum = (key) => takes.reduce((total, take) => total + take[key], 0);
   const lines = [];
@@ -64,6 +63,12 @@ function ofCapture(capture) {
     const place = asked > 1 ? `take ${capture.take} of ${asked}: ` : "";
     lines.push(`${place}${saidOnce(capture.fault.message)}`);
     if (takes.length) lines.push(`kept: ${count(takes.length, "take")} before it`);
+  }
+  // The first line is the one that is read from afar.
+  for (const take of takes) {
+    if (!take.causes.length) continue;
+    const head = takes.length > 1 ? `${take.name} ${take.word.toUpperCase()}: ` : "";
+    lines.push(...take.causes.map((cause) => head + cause));
   }
   if (takes.length) {
     const names = takes.map(({ name }) => name);
@@ -73,11 +78,6 @@ function ofCapture(capture) {
   }
   if (wish.dry_run) lines.push("a dry run: nothing was recorded");
   if (capture.stopped) lines.push(capture.stopped);
-  for (const take of takes) {
-    if (!take.causes.length) continue;
-    const head = takes.length > 1 ? `${take.name} ${take.word.toUpperCase()}: ` : "";
-    lines.push(...take.causes.map((cause) => head + cause));
-  }
   if (capture.fault && !takes.length && capture.asked_to_end) return { kind: "warn", word: "STOPPED", detail: lines.join("\n") };
   if (capture.fault) return { kind: "bad", word: "FAILED", detail: lines.join("\n") };
   if (!takes.length) return { kind: "warn", word: "STOPPED", detail: capture.stopped ?? "nothing was recorded" };

@@ -116,12 +116,11 @@ fn log_in(browser: &Browser, dir: &Path) {
     assert_eq!(browser.text("who"), "otto (operate)");
     assert_eq!(browser.run("return document.cookie"), "", "no script may read the login");
     browser.wait("READY", NO_BROKEN_PICTURE);
-    browser.keep("ready");
 }
 
-/// Before the first preview there is no picture, and no icon of a broken one.
+/// Where a camera has no picture yet there is no icon of a broken one.
 const NO_BROKEN_PICTURE: &str = "const boxes = [...document.querySelectorAll('.camera')];
-    return boxes.length === 8 && boxes.every((box) => box.querySelector('img').hidden && box.innerText.includes('no picture yet'))";
+    return boxes.length === 8 && boxes.every((box) => box.querySelector('img').naturalWidth > 0 || box.querySelector('img').hidden)";
 
 fn enter_token(browser: &Browser, dir: &Path) {
     let secret = std::fs::read_to_string(dir.join("otto.token")).expect("written");
@@ -140,25 +139,37 @@ fn log_out_and_in(browser: &Browser, dir: &Path) {
     enter_token(browser, dir);
 }
 
-/// Eight pictures, upright, that change; by the keyboard alone.
+/// Eight pictures, upright, that change without a press; a key stops them, and starts them again.
 fn watch_previews(browser: &Browser) {
-    browser.press("p");
-    browser.wait_word("PREVIEW");
     let all = "return document.querySelectorAll('.camera').length === 8 && [...document.querySelectorAll('.camera img')]
         .every((picture) => picture.naturalWidth === 300 && picture.naturalHeight === 480)";
     browser.wait("eight pictures", all);
     let first = browser.run(TRIGGERS);
     browser.wait("pictures that move", &format!("{TRIGGERS} !== {first}"));
-    let lit = "return [...document.querySelectorAll('.camera')].every((box) => box.querySelectorAll('dd')[1].classList.contains('good'))";
-    browser.wait("fringes of a good modulation", lit);
+    let good = "return document.querySelectorAll('.camera[data-sign=\"good\"]').length === 8";
+    browser.wait("light that is good in every camera", good);
+    browser.run("document.querySelector('#camera-h0_up .frame').click()");
+    browser.wait(
+        "the figures behind the sign",
+        "return /stripes\\s+\\d+ DN/.test(document.getElementById('large').innerText)",
+    );
+    browser.keep("camera");
+    browser.press("\u{E00C}");
     let body = "const canvas = document.getElementById('live-canvas');
-        return !document.getElementById('live-body').hidden && canvas.dataset.cameras === '8' && Number(canvas.dataset.points) > 5000";
+        return document.getElementById('live-body').className === '' && canvas.dataset.cameras === '8' && Number(canvas.dataset.points) > 5000";
     browser.wait("a live body of the cameras of both nodes", body);
     browser.wait_text("live-detail", "8 cameras");
     wait_for_new_body(browser);
-    browser.keep("preview");
-    browser.press("s");
-    browser.wait_word("READY");
+    assert!(
+        browser.text("word").starts_with("READY") && browser.text("detail").contains("nothing is recorded")
+    );
+    browser.keep("ready");
+    browser.press("p");
+    browser
+        .wait("pictures that stand still", "return document.querySelectorAll('.camera.live').length === 0");
+    assert_eq!(browser.run("return document.getElementById('look').ariaPressed"), "false");
+    browser.press("p");
+    browser.wait("pictures again", "return document.querySelectorAll('.camera.live').length === 8");
 }
 
 fn wait_for_new_body(browser: &Browser) {
@@ -205,8 +216,14 @@ fn a_complete_session_is_looked_at(browser: &Browser) {
     browser.drag("cloud-canvas", (120, 30));
     let turned = drawn();
     assert_ne!(before, turned, "the mouse turns it");
-    browser.run("document.getElementById('cloud-canvas').focus()");
     browser.press("\u{E012}");
-    assert_ne!(turned, drawn(), "the arrow keys turn it");
+    let turned_more = drawn();
+    assert_ne!(turned, turned_more, "the arrow keys turn it without a click first");
+    browser.press("4");
+    assert_ne!(turned_more, drawn(), "from above");
+    browser.press("1");
     browser.keep("complete");
+    browser.run("document.getElementById('keep').click()");
+    browser.wait("the take is called good", "return document.querySelector('[data-name=\"whole\"] [aria-pressed=\"true\"]')?.textContent === 'Good'");
+    assert_eq!(browser.run("return document.getElementById('body').dataset.shows"), "live");
 }

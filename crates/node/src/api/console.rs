@@ -21,7 +21,7 @@ macro_rules! served {
 }
 
 /// The files of `web/` with their paths and content types.
-const FILES: [(&str, &str, &str); 29] = served![
+const FILES: [(&str, &str, &str); 31] = served![
     HTML "play.html",
     HTML "subject.html",
     STYLE "console.css",
@@ -29,12 +29,14 @@ const FILES: [(&str, &str, &str); 29] = served![
     STYLE "player.css",
     STYLE "tiles.css",
     STYLE "subject.css",
+    SCRIPT "body-panel.js",
     SCRIPT "calibration-light.js",
     SCRIPT "cloud-view.js",
     SCRIPT "console.js",
     SCRIPT "controls.js",
     SCRIPT "elements.js",
     SCRIPT "exposure.js",
+    SCRIPT "form.js",
     SCRIPT "header.js",
     SCRIPT "live-body.js",
     SCRIPT "node-client.js",
@@ -66,4 +68,23 @@ pub(super) fn pages() -> Router<Shared> {
 fn file(kind: &'static str, text: &'static str) -> Response {
     // That the browser keeps nothing, be it of a node that is gone or of an older version, is a header of every answer.
     ([(header::CONTENT_TYPE, kind)], text).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{FILES, PAGE};
+
+    /// A page without one of its scripts stays blank.
+    #[test]
+    fn every_script_that_a_page_imports_is_served() {
+        for (path, _, text) in FILES.into_iter().chain([PAGE]) {
+            let imported = text.split(" from \"./").skip(1).chain(text.split("src=\"").skip(1));
+            for name in
+                imported.filter_map(|rest| rest.split('"').next()).filter(|name| name.ends_with(".js"))
+            {
+                let served = FILES.iter().any(|(other, ..)| other.trim_start_matches('/') == name);
+                assert!(served, "{path} imports {name}, which is not among FILES");
+            }
+        }
+    }
 }

@@ -1,0 +1,39 @@
+// What the capture form asks for: a series of takes, and how much of the disk that needs.
+
+import { $, make } from "./elements.js";
+
+/** The HSU's inputs, an edge of which may begin a session: `LINE:rising` or `LINE:falling`. */
+const INPUTS = 8;
+for (let line = 0; line < INPUTS; line++) {
+  for (const edge of ["rising", "falling"]) $("start-on").append(make("option", { value: `${line}:${edge}`, textContent: `when the signal on input ${line} goes ${edge === "rising" ? "on" : "off"}` }));
+}
+
+const filled = (id) => $(id).value.trim() || null;
+const number = (id) => Number(filled(id)) || null;
+
+/** How much is asked for: seconds of a take (null: until Stop), seconds before Record and after Stop, takes. */
+export const asked = () => ({
+  seconds: number("seconds"),
+  before: number("before") ?? 0,
+  after: number("after") ?? 0,
+  takes: number("takes") ?? 1,
+  partial: $("partial").checked,
+});
+
+/** The series as the node takes it. */
+export function series(extra = {}) {
+  const [line, edge] = $("start-on").value.split(":");
+  const wish = {
+    name: filled("name"),
+    subject: filled("subject"),
+    note: filled("note"),
+    duration_s: number("seconds"),
+    countdown_s: number("countdown") ?? 0,
+    pre_trigger_s: number("before"),
+    post_trigger_s: number("after"),
+    partial: $("partial").checked,
+    start_on: edge ? { line: Number(line), rising: edge === "rising" } : null,
+  };
+  // A name that is taken gets the next number.
+  return { wish: { ...wish, ...extra }, takes: number("takes") ?? 1, pause_s: 0, number: true };
+}
