@@ -85,9 +85,9 @@ function row(take) {
   const item = make("li", { className: take.kind }, head);
   const below = make("div", { className: "below" });
   if (take.word !== "recording") below.append(lamp(take.light));
-  if (take.causes.length) below.append(make("p", { className: "causes", textContent: take.causes.join("; ") }));
+  below.append(remarkOf(take));
   item.append(below);
-  item.append(remarkOf(take));
+  if (take.causes.length) item.append(make("p", { className: "causes", textContent: take.causes.join("; ") }));
   item.dataset.name = take.name;
   return item;
 }
@@ -104,7 +104,7 @@ function remarkOf(take) {
   });
   const note = make("input", { value: remark.note ?? "", placeholder: "note on this take", maxLength: 500, disabled: !may, onchange: () => keep({ note: note.value.trim() || null }) });
   note.setAttribute("aria-label", `note on ${take.name}`);
-  const look = make("button", { type: "button", textContent: "Quick look", onclick: () => openLook(take.name) });
+  const look = make("button", { type: "button", textContent: "Look", onclick: () => openLook(take.name) });
   look.setAttribute("aria-label", `quick look at ${take.name}`);
   const mark = () => RATINGS.forEach(([rating], i) => buttons[i].setAttribute("aria-pressed", String(remark.rating === rating)));
   let kept = Promise.resolve();
@@ -123,7 +123,7 @@ function remarkOf(take) {
     text(problem, wrong.map((error) => `not kept: ${error.message}`).join("; "));
   }
   mark();
-  return make("div", {}, make("div", { className: "remark", role: "group" }, ...buttons, note, look, ...playButton(take)), problem);
+  return make("div", { className: "remarks" }, make("div", { className: "remark", role: "group" }, ...buttons, note, look, ...playButton(take)), problem);
 }
 
 /** Rates a take on all nodes, as its buttons in the list do. */
