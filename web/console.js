@@ -17,9 +17,15 @@ import { GONE_S, LATE_S, nodes, silence_s, take, told } from "./told.js";
 
 const POLL_MS = 300;
 
+/** The take under way for which the live body was brought back. */
+let liveFor = "";
+
 /** Shows everything anew: ages grow although nothing is told. */
 function show() {
   if ($("console").hidden || !told.status) return;
+  const under_way = told.capture?.running && told.capture.stage ? `${told.capture.number}/${told.capture.take}` : "";
+  if (under_way && under_way !== liveFor) showBody("live");
+  liveFor = under_way;
   showHeader();
   showStage();
   showTiles();
@@ -41,10 +47,19 @@ function watchConnection() {
   text($("gone"), gone ? `${news.toUpperCase()}: nothing here is current` : news);
 }
 
+/** Takes what a node answers, unless a question that was asked later has been answered before. */
+const latest = { asked: 0, answered: {} };
+async function learn(what, ask) {
+  const number = ++latest.asked;
+  const value = await ask();
+  if (number < (latest.answered[what] ?? 0)) return;
+  latest.answered[what] = number;
+  take(what, value);
+}
+
 async function refreshCapture() {
   const before = told.capture;
-  take("capture", await node.capture());
-  if (told.capture?.running && !before?.running) showBody("live");
+  await learn("capture", node.capture);
   const taken = told.capture?.takes ?? [];
   const isNew = before && (before.number !== told.capture?.number ? taken.length > 0 : taken.length > before.takes.length);
   if (isNew || (before?.running && !told.capture?.running)) {
@@ -69,9 +84,7 @@ async function forever(doing, period_ms) {
 }
 
 const refresh = async () => {
-  const [status, capture] = await Promise.all([node.status(), node.capture()]);
-  take("status", status);
-  take("capture", capture);
+  await Promise.all([learn("status", node.status), learn("capture", node.capture)]);
   show();
 };
 
@@ -127,8 +140,8 @@ async function begun() {
 
 await begun();
 // Each asks for itself: a node that does not answer keeps nobody else's news away.
-forever(async () => take("status", await node.status()), POLL_MS);
-forever(async () => take("peers", await node.peers()), POLL_MS);
+forever(() => learn("status", node.status), POLL_MS);
+forever(() => learn("peers", node.peers), POLL_MS);
 forever(refreshCapture, POLL_MS);
 forever(() => Promise.all(nodes().filter(({ status }) => status).map(({ peer }) => refreshPictures(peer).catch(() => {}))), POLL_MS);
 forever(keepPictures, 800);

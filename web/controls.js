@@ -2,7 +2,7 @@
 
 import { bodyKey } from "./body-panel.js";
 import { $, text } from "./elements.js";
-import { asked, series } from "./form.js";
+import { asked, defaultName, series } from "./form.js";
 import { node } from "./node-client.js";
 import { cannotRecord, cannotRun, sessionsUnderWay, told } from "./told.js";
 
@@ -50,6 +50,7 @@ export function showControls() {
   const missing = running ? null : cannotRecord(wish);
   $("start").disabled = !may || (!holding() && (running || missing !== null));
   text($("start-word"), !running && wish.before ? "Hold" : "Record");
+  $("name").placeholder = defaultName();
   $("look").disabled = !may;
   $("look").setAttribute("aria-pressed", String(wantsPictures()));
   for (const id of ["stop", "abort"]) $(id).disabled = !running || !may;

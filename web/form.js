@@ -11,6 +11,14 @@ for (let line = 0; line < INPUTS; line++) {
 const filled = (id) => $(id).value.trim() || null;
 const number = (id) => Number(filled(id)) || null;
 
+/** The name of a take that is given none: the day, and the subject. */
+export function defaultName() {
+  const now = new Date();
+  const day = [now.getFullYear(), now.getMonth() + 1, now.getDate()].map((part) => String(part).padStart(2, "0")).join("-");
+  const subject = (filled("subject") ?? "").replace(/[^A-Za-z0-9_.-]+/g, "-");
+  return [day, subject].filter(Boolean).join("_").slice(0, 60);
+}
+
 /** How much is asked for: seconds of a take (null: until Stop), seconds before Record and after Stop, takes. */
 export const asked = () => ({
   seconds: number("seconds"),
@@ -24,7 +32,7 @@ export const asked = () => ({
 export function series(extra = {}) {
   const [line, edge] = $("start-on").value.split(":");
   const wish = {
-    name: filled("name"),
+    name: filled("name") ?? defaultName(),
     subject: filled("subject"),
     note: filled("note"),
     duration_s: number("seconds"),

@@ -10,6 +10,8 @@ import { told } from "./told.js";
 /** A body that is older is shown in grey, and after some seconds more not at all. */
 const OLD_MS = 1000;
 const GONE_MS = 5000;
+/** Time between two pictures while it turns: a node's own processor may have to draw them. */
+const TICK_MS = 80;
 /** One turn in half a minute. */
 const TURN = (2 * Math.PI) / 30;
 /** A camera of which less becomes points is named. */
@@ -65,10 +67,11 @@ export async function showLiveBody(isOpen) {
   setInterval(show, 250);
   let before = performance.now();
   const turn = (now) => {
-    const passed = Math.min(now - before, 100) / 1000;
+    requestAnimationFrame(turn);
+    if (now - before < TICK_MS) return;
+    const passed = Math.min(now - before, 200) / 1000;
     before = now;
     if (!section.classList.contains("none") && !still.matches && turns) view.turn(TURN * passed, 0);
-    requestAnimationFrame(turn);
   };
   requestAnimationFrame(turn);
   for (;;) {

@@ -63,6 +63,9 @@ export const node = {
   /** A blob, or null before the first picture. */
   picture: (peer, camera) =>
     ask(at(peer, `/previews/${encodeURIComponent(camera)}`)).then((answer) => (answer.status === 204 ? null : answer.blob())),
+  /** What its light is good for, to lie over it. */
+  light: (peer, camera) =>
+    ask(at(peer, `/previews/${encodeURIComponent(camera)}?light=true`)).then((answer) => (answer.status === 204 ? null : answer.blob())),
   sessions: (peer, limit, search) => get(at(peer, `/sessions?limit=${limit}&search=${encodeURIComponent(search)}`)),
   remark: (peer, session, remark) => post(at(peer, `/sessions/${encodeURIComponent(session)}/remark`), remark),
   expose: (peer, request) => post(at(peer, "/exposure"), request, 40000).then((answer) => answer.json()),

@@ -7,7 +7,8 @@ import { node } from "./node-client.js";
 import { nodes } from "./told.js";
 
 const view = new CloudView($("cloud-canvas"));
-const TICK_MS = 50;
+/** As for the live body. */
+const TICK_MS = 80;
 /** One turn in half a minute. */
 const TURN_A_TICK = (2 * Math.PI * TICK_MS) / 30000;
 const look = { session: null, trigger: null, wanted: null };
@@ -43,7 +44,7 @@ export async function refreshLook() {
     button.setAttribute("aria-pressed", String(trigger === look.trigger));
     return button;
   }));
-  const told = states.filter((state) => state.state !== "ready").map((state) => {
+  const told = states.filter(({ state }) => state !== "ready" && state !== "not_asked").map((state) => {
     if (state.state === "working") return `node ${state.name}: frame set ${state.done + 1} of ${state.of}`;
     if (state.state === "failed") return `node ${state.name}: ${state.reason}`;
     return `node ${state.name}: ${state.state.replaceAll("_", " ")}`;

@@ -111,7 +111,10 @@ function enlarge(id) {
   showLarge();
   $("large").showModal();
 }
-$("large").addEventListener("close", () => (large = null));
+$("large").addEventListener("close", () => {
+  large = null;
+  $("large-light").hidden = true;
+});
 $("large-close").addEventListener("click", () => $("large").close());
 $("large-frame").addEventListener("click", () => $("large").close());
 
@@ -143,6 +146,7 @@ export async function refreshPictures(peer) {
     shown.fact = fact;
     shown.at = performance.now();
     if (fact.light && ageOf(shown) < LIVE_S) shown.best = Math.max(shown.best, fact.light.focus);
+    if (fact.camera === large) await refreshLight(peer, shown);
     if (!fact.number || fact.number === shown.number) continue;
     const blob = await node.picture(peer, fact.camera);
     if (!blob) continue;
@@ -153,4 +157,14 @@ export async function refreshPictures(peer) {
     if (shown.url) URL.revokeObjectURL(shown.url);
     Object.assign(shown, { url, number: fact.number });
   }
+}
+
+/** Lays over the enlarged picture what its light is good for. */
+async function refreshLight(peer, shown) {
+  const blob = await node.light(peer, large).catch(() => null);
+  $("large-light").hidden = !blob || !shown.live;
+  if (!blob) return;
+  const before = $("large-light").src;
+  $("large-light").src = URL.createObjectURL(blob);
+  if (before) URL.revokeObjectURL(before);
 }

@@ -23,8 +23,12 @@ pub struct Browser {
 type Screen = ((u32, u32), bool);
 
 /// Sizes at which pictures are kept.
-const SCREENS: [(&str, Screen); 3] =
-    [("phone", ((390, 844), true)), ("1366", ((1366, 768), false)), ("1920", ((1920, 1080), false))];
+const SCREENS: [(&str, Screen); 4] = [
+    ("phone", ((390, 844), true)),
+    ("1366", ((1366, 768), false)),
+    ("1920", ((1920, 1080), false)),
+    ("3840", ((3840, 2160), false)),
+];
 
 /// Two busy cores share a browser, two nodes and eight cameras.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -173,7 +177,7 @@ impl Browser {
         ))
     }
 
-    /// Keeps pictures of the page at three sizes, where FOURDBODY_SCREENSHOTS names a directory.
+    /// Keeps pictures of the page at four sizes, where FOURDBODY_SCREENSHOTS names a directory.
     pub fn keep(&self, name: &str) {
         let Some(dir) = std::env::var_os("FOURDBODY_SCREENSHOTS") else { return };
         let before = self.screen.get();

@@ -218,7 +218,9 @@ fn a_complete_session_is_looked_at(browser: &Browser) {
     assert_ne!(before, turned, "the mouse turns it");
     browser.press("\u{E012}");
     let turned_more = drawn();
-    assert_ne!(turned, turned_more, "the arrow keys turn it without a click first");
+    let shown = browser
+        .run("return [document.getElementById('body').dataset.shows, document.activeElement.outerHTML]");
+    assert_ne!(turned, turned_more, "the arrow keys turn it without a click first: {shown}");
     browser.press("4");
     assert_ne!(turned_more, drawn(), "from above");
     browser.press("1");

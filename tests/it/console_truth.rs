@@ -313,6 +313,7 @@ fn the_page_is_seen_whole_and_nothing_moves_under_the_hand() {
         readable(browser);
         browser.keep("ready");
         assert_eq!((browser.place("stop"), browser.place("start")), before, "{name}");
+        read_from_three_metres(browser, size);
         browser.press("r");
         browser.wait_word("RECORDING");
         let recording =
@@ -383,6 +384,24 @@ fn seen_whole(browser: &Browser, (width, height): (u32, u32), figure: f64) {
     );
     assert_eq!((&seen["outside"], &seen["cut"]), (&serde_json::json!([]), &serde_json::json!([])), "{what}");
     assert!(seen["figure"].as_f64().expect("a number") >= figure, "{what}");
+}
+
+/// Capitals of state, verdict and cause, in minutes of arc on a screen of 24 inches, seen from three metres. Five minutes
+/// are the least that a healthy eye reads.
+fn read_from_three_metres(browser: &Browser, (width, height): (u32, u32)) {
+    const CAPITAL_OF_FONT: f64 = 0.729;
+    let pixel_mm = 24.0 * 25.4 / f64::from(width).hypot(f64::from(height));
+    let minutes = |id: &str, part: &str| {
+        let script = format!(
+            "return parseFloat(getComputedStyle(document.getElementById({id:?}), {part:?}).fontSize)"
+        );
+        let capital_mm = browser.run(&script).as_f64().expect("a size") * CAPITAL_OF_FONT * pixel_mm;
+        (capital_mm / 3000.0).atan().to_degrees() * 60.0
+    };
+    let [word, clock, cause] =
+        [("word", ""), ("clock", ""), ("detail", "::first-line")].map(|(id, part)| minutes(id, part));
+    println!("{width} x {height}: state {word:.1}, clock {clock:.1}, cause {cause:.1} minutes of arc");
+    assert!(word > 20.0 && clock > 9.0 && cause > 9.0, "{word} {clock} {cause} at {width} x {height}");
 }
 
 /// Contrast of every text that is shown, but for what cannot be used now: 7 : 1 and more (WCAG 2.2, AAA).

@@ -10,8 +10,8 @@ use super::request::{CaptureRequest, Control, Stage};
 use super::run::capture;
 use super::series::{self, Series};
 use crate::base::{Exit, Fault};
+use crate::control::interest::Interest;
 use crate::control::request::Phase;
-use crate::preview::Interest;
 use serde::Serialize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -51,7 +51,7 @@ pub struct CaptureState {
 pub struct Coordinator {
     cast: Participants,
     shared: Arc<Mutex<Shared>>,
-    /// Pages that show pictures.
+    /// When a page last showed pictures.
     looking: Arc<Interest>,
 }
 

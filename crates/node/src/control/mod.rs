@@ -5,6 +5,7 @@
 pub mod client;
 /// What the API asks of the node's thread.
 pub mod command;
+pub(crate) mod interest;
 /// How a token is shown where others could take it.
 pub mod proof;
 /// What an operator asks for.

@@ -497,8 +497,9 @@ pub struct PeerState {
 
 /// Where the API lies on a node.
 pub mod path {
-    /// GET: the capture that the node runs; POST [`crate::capture::series::Series`]: begins one.
+    /// POST: somebody looks at the pictures while nothing is recorded.
     pub const PREVIEW: &str = "/api/v1/preview";
+    /// GET: the capture that the node runs; POST [`crate::capture::series::Series`]: begins one.
     pub const CAPTURE: &str = "/api/v1/capture";
     pub const CAPTURE_STOP: &str = "/api/v1/capture/stop";
     /// POST: keeps what is held, and records.

@@ -347,6 +347,7 @@ mod tests {
             start_on: None,
             pre_triggers: 0,
             dry_run: false,
+            preview: false,
             on_behalf_of: None,
         }
     }

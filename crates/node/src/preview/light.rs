@@ -51,6 +51,35 @@ impl Light {
     }
 }
 
+/// What the light of a window of [`WINDOW`] columns is good for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WindowLight {
+    /// Nothing is lit, or nobody is there.
+    Dark,
+    /// Its fringes are strong enough.
+    Good,
+    /// It is lit, and its fringes are too weak.
+    Weak,
+    /// A pixel is saturated: the fringe has no peak.
+    Saturated,
+}
+
+/// The light of every window of a sample, row by row, each row from its first column on.
+pub fn windows(sample: &Sample) -> impl Iterator<Item = impl Iterator<Item = WindowLight>> {
+    sample.pixels.chunks_exact(sample.width.max(1)).map(|row| {
+        row.chunks_exact(WINDOW).map(|window| {
+            let (low, high) = window.iter().fold((255u8, 0u8), |(low, high), &x| (low.min(x), high.max(x)));
+            let amplitude_dn = f64::from(high - low) / 2.0;
+            match (high, MODULATION.grade(amplitude_dn)) {
+                (0..=LIT_DN, _) => WindowLight::Dark,
+                (255, _) => WindowLight::Saturated,
+                (_, Grade::Bad) => WindowLight::Weak,
+                _ => WindowLight::Good,
+            }
+        })
+    })
+}
+
 /// Grey value that the brightest pixel of a lit window exceeds.
 const LIT_DN: u8 = 24;
 
@@ -130,6 +159,19 @@ mod tests {
         assert!((light.saturated - 0.41).abs() < 0.06, "{light:?}");
         assert_eq!(light.bright_dn, 255.0);
         assert_eq!(light.grades().saturated, Grade::Bad);
+    }
+
+    #[test]
+    fn every_window_says_what_its_light_is_good_for() {
+        let of = |mean, amplitude| {
+            let sample = fringes(mean, amplitude, 12.0);
+            super::windows(&sample).next().expect("a row").collect::<Vec<_>>()
+        };
+        use super::WindowLight::{Dark, Good, Saturated, Weak};
+        for (mean, amplitude, light) in [(100.0, 60.0, Good), (100.0, 8.0, Weak), (220.0, 60.0, Saturated)] {
+            let row = of(mean, amplitude);
+            assert_eq!((row[0], row[9], row[10], row[19]), (light, light, Dark, Dark), "{row:?}");
+        }
     }
 
     #[test]

@@ -16,34 +16,17 @@ pub use picture::upright_png;
 
 use crate::acquire::preview::{Sample, Taps};
 use crate::base::ids::CameraId;
+use crate::control::interest::Interest;
 use crate::host::realtime;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use serde::Serialize;
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 /// Least time between two pictures of a camera.
 const PERIOD: Duration = Duration::from_millis(250);
-/// Time without a request after which a client no longer counts as looking.
-const INTEREST: Duration = Duration::from_secs(2);
 /// Time between two looks for samples.
 const POLL: Duration = Duration::from_millis(40);
-
-/// When something was last requested: nothing is computed that no client looks at.
-#[derive(Debug, Default)]
-pub(crate) struct Interest(Mutex<Option<Instant>>);
-
-impl Interest {
-    /// Notes a request that arrives now.
-    pub(crate) fn note(&self) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
-    }
-
-    /// Whether the last request is recent enough.
-    pub(crate) fn is_fresh(&self) -> bool {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|at| at.elapsed() < INTEREST)
-    }
-}
 
 /// One camera's newest picture, as PNG with its figures.
 #[derive(Debug, Clone)]
@@ -54,6 +37,8 @@ pub struct Picture {
     pub host_time_ns: u64,
     /// Upright, a quarter of the frame's size, PNG; saturated pixels are red.
     pub png: Vec<u8>,
+    /// What the light is good for, to lie over it, where somebody has asked for that of late.
+    pub light_png: Option<Vec<u8>>,
     /// What its light is like.
     pub light: Light,
 }
@@ -86,6 +71,7 @@ pub struct Previews {
 struct Shared {
     taps: Arc<Taps>,
     requested: Vec<Interest>,
+    light_requested: Vec<Interest>,
     pictures: Vec<RwLock<Option<Arc<Picture>>>>,
 }
 
@@ -96,6 +82,7 @@ impl Previews {
         let shared = Arc::new(Shared {
             taps,
             requested: (0..cameras).map(|_| Interest::default()).collect(),
+            light_requested: (0..cameras).map(|_| Interest::default()).collect(),
             pictures: (0..cameras).map(|_| RwLock::default()).collect(),
         });
         let (wake, awake) = bounded(1);
@@ -107,13 +94,16 @@ impl Previews {
         Ok(Self { shared, wake })
     }
 
-    /// The newest picture of a camera, and the wish for the next one.
-    pub fn latest(&self, camera: &str) -> Result<Option<Arc<Picture>>, UnknownCamera> {
+    /// The newest picture of a camera, and the wish for the next one, `with_light` with [`Picture::light_png`].
+    pub fn latest(&self, camera: &str, with_light: bool) -> Result<Option<Arc<Picture>>, UnknownCamera> {
         let place = self.shared.taps.cameras().position(|known| known.as_str() == camera);
         let place = place.ok_or_else(|| UnknownCamera {
             asked: camera.to_owned(),
             known: self.shared.taps.cameras().map(ToString::to_string).collect(),
         })?;
+        if with_light {
+            self.shared.light_requested[place].note();
+        }
         Ok(self.look(place))
     }
 
@@ -180,8 +170,10 @@ impl Shared {
         match picture::upright_png(sample) {
             Ok(png) => {
                 let (trigger, host_time_ns) = (sample.trigger, sample.host_time_ns);
-                *slot =
-                    Some(Arc::new(Picture { number, trigger, host_time_ns, png, light: measure(sample) }));
+                let with_light = self.light_requested[camera].is_fresh();
+                let light_png = with_light.then(|| picture::light_png(sample)).transpose().unwrap_or(None);
+                let light = measure(sample);
+                *slot = Some(Arc::new(Picture { number, trigger, host_time_ns, png, light_png, light }));
             }
             Err(error) => tracing::debug!("a preview could not be encoded: {error}"),
         }
@@ -199,9 +191,9 @@ mod tests {
     fn a_camera_that_is_not_there_is_named_with_those_that_are() {
         let taps = Arc::new(Taps::new([CameraId::from("h0_up"), CameraId::from("h0_low")]));
         let previews = Previews::start(taps).expect("a thread");
-        let error = previews.latest("h9_up").expect_err("not there").to_string();
+        let error = previews.latest("h9_up", false).expect_err("not there").to_string();
         assert!(error.contains("h9_up") && error.contains("h0_up, h0_low"), "{error}");
-        assert!(previews.latest("h0_low").expect("there").is_none(), "no frame yet");
+        assert!(previews.latest("h0_low", true).expect("there").is_none(), "no frame yet");
         assert_eq!(previews.facts().len(), 2);
     }
 }

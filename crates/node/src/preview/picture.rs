@@ -3,6 +3,7 @@
 //!
 //! The cameras are mounted in portrait, columns running down: the picture is the frame turned clockwise.
 
+use super::light::windows;
 use crate::acquire::preview::{ROW_STEP, Sample};
 
 /// The grey value of saturated pixels, which the palette shows red.
@@ -22,17 +23,45 @@ pub fn upright_png(sample: &Sample) -> Result<Vec<u8>, png::EncodingError> {
             pixels[u * width + (rows - 1 - v)] = if four.contains(&255) { RED } else { grey };
         }
     }
+    let mut palette: Vec<u8> = (0..=254u8).flat_map(|grey| [grey; 3]).collect();
+    palette.extend([255, 40, 40]);
+    encode((width, height), &pixels, (palette, Vec::new()))
+}
+
+/// Colours of [`WindowLight`]: nothing, green, amber, red.
+const LIGHTS: [[u8; 3]; 4] = [[0, 0, 0], [60, 220, 110], [255, 180, 40], [255, 40, 40]];
+/// How much of the picture below they hide.
+const OPACITY: [u8; 4] = [0, 110, 150, 190];
+
+/// What the light is good for, to lie over the picture: as wide, and a row for each window of columns.
+pub fn light_png(sample: &Sample) -> Result<Vec<u8>, png::EncodingError> {
+    let rows: Vec<Vec<u8>> = windows(sample).map(|row| row.map(|light| light as u8).collect()).collect();
+    let (width, height) = (rows.len(), rows.first().map_or(0, Vec::len));
+    let mut pixels = vec![0u8; width * height];
+    for (v, row) in rows.iter().enumerate() {
+        row.iter().enumerate().for_each(|(u, light)| pixels[u * width + (width - 1 - v)] = *light);
+    }
+    encode((width, height), &pixels, (LIGHTS.concat(), OPACITY.to_vec()))
+}
+
+/// A PNG with this palette and, where that is not empty, its opacities.
+fn encode(
+    (width, height): (usize, usize),
+    pixels: &[u8],
+    (palette, opacity): (Vec<u8>, Vec<u8>),
+) -> Result<Vec<u8>, png::EncodingError> {
     let mut png = Vec::new();
     let side = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
     let mut encoder = png::Encoder::new(&mut png, side(width), side(height));
     encoder.set_color(png::ColorType::Indexed);
     encoder.set_depth(png::BitDepth::Eight);
-    let mut palette: Vec<u8> = (0..=254u8).flat_map(|grey| [grey; 3]).collect();
-    palette.extend([255, 40, 40]);
     encoder.set_palette(palette);
+    if !opacity.is_empty() {
+        encoder.set_trns(opacity);
+    }
     encoder.set_compression(png::Compression::Fast);
     let mut writer = encoder.write_header()?;
-    writer.write_image_data(&pixels)?;
+    writer.write_image_data(pixels)?;
     writer.finish()?;
     Ok(png)
 }

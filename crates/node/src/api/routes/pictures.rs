@@ -32,18 +32,34 @@ async fn get_previews(State(shared): State<Shared>) -> Json<Vec<PictureFacts>> {
     Json(shared.services.previews.facts())
 }
 
+/// What of a picture the client wants.
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
+#[serde(deny_unknown_fields)]
+struct Part {
+    /// What the light is good for, in place of the picture: green where fringes are strong enough, amber where they are
+    /// weak, red where they are overexposed, clear elsewhere. A row of pixels for 24 columns of the frame.
+    #[serde(default)]
+    light: bool,
+}
+
 /// A camera's newest picture: upright, a quarter of the frame's size, saturated pixels red. 204 before the first.
 #[utoipa::path(get, path = path::PICTURE, tag = "preview",
-    params(("camera" = String, Path, description = "Its name in the rig.")),
+    params(("camera" = String, Path, description = "Its name in the rig."), Part),
     responses(
         (status = 200, description = "The picture.", content_type = "image/png", body = Vec<u8>),
         (status = 204, description = "The camera has sent nothing yet."),
         (status = 404, description = "This node has no such camera.", body = Fault)))]
-async fn get_picture(State(shared): State<Shared>, Path(camera): Path<String>) -> Result<Response, Refusal> {
-    let picture = shared.services.previews.latest(&camera).map_err(Refusal::not_found)?;
+async fn get_picture(
+    State(shared): State<Shared>,
+    Path(camera): Path<String>,
+    Query(Part { light }): Query<Part>,
+) -> Result<Response, Refusal> {
+    let picture = shared.services.previews.latest(&camera, light).map_err(Refusal::not_found)?;
     let Some(picture) = picture else { return Ok(StatusCode::NO_CONTENT.into_response()) };
+    let part = if light { picture.light_png.clone() } else { Some(picture.png.clone()) };
+    let Some(png) = part else { return Ok(StatusCode::NO_CONTENT.into_response()) };
     let number = [(HeaderName::from_static("x-picture"), picture.number.to_string())];
-    Ok((number, bytes("image/png", picture.png.clone())).into_response())
+    Ok((number, bytes("image/png", png)).into_response())
 }
 
 /// Longest time that a console waits for a frame set that is newer than its last one.
