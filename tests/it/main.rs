@@ -141,6 +141,8 @@ mod two_nodes;
 mod unread_output;
 mod unreadable_disk;
 mod unreadable_sessions;
+#[cfg(feature = "aravis")]
+mod upgrade;
 mod validate_commands;
 #[cfg(feature = "aravis")]
 mod warm_up;
