@@ -11,6 +11,8 @@ mod api_description;
 #[cfg(feature = "aravis")]
 mod api_node;
 #[cfg(feature = "aravis")]
+mod api_open;
+#[cfg(feature = "aravis")]
 mod api_security;
 #[cfg(feature = "aravis")]
 mod api_session;
