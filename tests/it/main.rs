@@ -85,6 +85,7 @@ mod lab_command;
 #[cfg(feature = "aravis")]
 mod matrix;
 mod merging;
+mod messages;
 #[cfg(feature = "aravis")]
 mod new_bench;
 #[cfg(feature = "aravis")]
