@@ -86,6 +86,8 @@ mod lab_command;
 mod matrix;
 mod merging;
 mod messages;
+#[cfg_attr(not(feature = "aravis"), allow(dead_code))]
+mod monitoring;
 #[cfg(feature = "aravis")]
 mod new_bench;
 #[cfg(feature = "aravis")]
