@@ -113,6 +113,7 @@ mod recording_regions;
 mod recover;
 #[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
 mod refusals;
+mod release;
 #[cfg(feature = "aravis")]
 mod report;
 mod result_files;
