@@ -77,6 +77,8 @@ mod identity;
 #[cfg(feature = "aravis")]
 mod input_lines;
 #[cfg(feature = "aravis")]
+mod json_output;
+#[cfg(feature = "aravis")]
 mod kills;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
