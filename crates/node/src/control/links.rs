@@ -8,6 +8,7 @@
 use super::tokens::{SecretHash, Token, random_text, read_private, write_private};
 use crate::base::{Exit, Fault};
 use std::fs::OpenOptions;
+use std::io::ErrorKind;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -70,15 +71,20 @@ pub fn issue(tokens: &Path, token: &Token, lifetime: Duration, now_ns: u64) -> R
 pub(crate) fn redeem(tokens: &Path, code: &str, now_ns: u64) -> Result<SecretHash, String> {
     // The hash is the name: what was sent never becomes a path.
     let path = directory(tokens).join(SecretHash::of(code).to_string());
-    if !path.exists() {
-        return Err("no such code: it was used, has expired, or is of another node".to_owned());
-    }
-    let link = read(&path);
-    // Emptied first: a power cut does not bring it back.
+    // The claim: of many at once, one renames the file.
+    let claimed = path.with_extension("used");
+    std::fs::rename(&path, &claimed).map_err(|error| match error.kind() {
+        ErrorKind::NotFound => "no such code: it was used, has expired, or is of another node".to_owned(),
+        _ => format!("{} cannot be used up, so it is not accepted: {error}", path.display()),
+    })?;
+    let link = read(&claimed);
+    // Emptied before it is removed: a power cut does not bring it back.
     let emptied =
-        OpenOptions::new().write(true).open(&path).and_then(|file| file.set_len(0).and(file.sync_all()));
-    let taken = emptied.and_then(|()| std::fs::remove_file(&path));
-    taken.map_err(|error| format!("{} cannot be removed, so it is not accepted: {error}", path.display()))?;
+        OpenOptions::new().write(true).open(&claimed).and_then(|file| file.set_len(0).and(file.sync_all()));
+    let removed = emptied.and_then(|()| std::fs::remove_file(&claimed));
+    removed.map_err(|error| {
+        format!("{} cannot be removed, so it is not accepted: {error}", claimed.display())
+    })?;
     let link = link?;
     let left_ns = link.ends_ns.saturating_sub(now_ns);
     match left_ns > 0 && u128::from(left_ns) <= LIFETIME_MAX.as_nanos() {
