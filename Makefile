@@ -23,13 +23,14 @@
 #   make figures   every figure of README.md and docs, measured and written there; scripts/figures.sh prints the minutes
 #   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
 #   make deb       the Debian package, in target/debian; scripts/try-package.sh tries it in a clean Debian
+#   make release   the package with SHA256SUMS, of a clean tree whose documents are of this version
 #   make third-party   others' programs that take minutes to build
 
 SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo lab test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses geometry drift noise light real validate figures packages test-packages clean-out fuzz third-party
+.PHONY: all demo lab test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses geometry drift noise light real validate figures packages test-packages clean-out fuzz third-party release
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -155,6 +156,9 @@ deb: packages
 	$(CARGO) build --release --workspace
 	$(CARGO) run --release --example manual -- target/manual
 	target/tools/bin/cargo-deb --no-build -o target/debian/
+
+release: packages
+	scripts/release.sh
 
 FUZZ_SECONDS ?= 180
 fuzz: packages

@@ -109,6 +109,25 @@ function leave() {
   $("token").focus();
 }
 
+/** The code of a link that logs in once (`#login=CODE`); it leaves the address bar before anything else happens. */
+function takeCode() {
+  const code = new URLSearchParams(location.hash.slice(1)).get("login");
+  if (code !== null) history.replaceState(null, "", location.pathname + location.search);
+  return code;
+}
+
+/** Logs in with a code. Where it does not work, an earlier login of this browser holds; else the form says why. */
+async function useCode(code) {
+  if (code === null) return;
+  try {
+    await node.loginByLink(code);
+    text($("login-problem"), "");
+  } catch (error) {
+    if (error instanceof Gone) throw error;
+    text($("login-problem"), error.message);
+  }
+}
+
 $("login").addEventListener("submit", async (event) => {
   event.preventDefault();
   try {
@@ -127,9 +146,11 @@ $("logout").addEventListener("click", async () => {
 });
 onAct(() => refresh().catch(() => {}));
 
-async function begun() {
+async function begun(code) {
   for (;;) {
     try {
+      await useCode(code);
+      code = null;
       return await enter();
     } catch (error) {
       if (error instanceof Refused) return leave();
@@ -138,7 +159,12 @@ async function begun() {
   }
 }
 
-await begun();
+// A link that is opened where the page is open already changes only what follows the hash sign.
+addEventListener("hashchange", () => {
+  const code = takeCode();
+  if (code !== null) begun(code);
+});
+await begun(takeCode());
 // Each asks for itself: a node that does not answer keeps nobody else's news away.
 forever(() => learn("status", node.status), POLL_MS);
 forever(() => learn("peers", node.peers), POLL_MS);

@@ -41,6 +41,7 @@ const look = (peer, session) => at(peer, `/sessions/${encodeURIComponent(session
 
 export const node = {
   login: (token) => post("/login", { token }),
+  loginByLink: (code) => post("/login/link", { code }),
   logout: () => post("/logout"),
   identity: () => get("/identity"),
   status: () => get("/status"),

@@ -19,10 +19,38 @@ pub(super) fn unreadable(path: &Path, error: impl fmt::Display) -> Failure {
 }
 
 /// The failure to use the directory of a reconstruction: one that has clouds and is not as `reconstruct` leaves it is
-/// damaged.
+/// damaged. What is there instead is named.
 pub(super) fn unusable_clouds(directory: &Path, error: impl fmt::Display) -> Failure {
     let some = ["phases", "clouds", "merged"].iter().any(|folder| directory.join(folder).is_dir());
-    if some { Failure::corrupt(error) } else { Failure::usage(error) }
+    if some { Failure::corrupt(error) } else { no_reconstruction(directory, error) }
+}
+
+/// A path that a reconstruction was expected at.
+pub(super) fn no_reconstruction(path: &Path, error: impl fmt::Display) -> Failure {
+    let shown = path.display();
+    let expected = "expected what `fourdbody reconstruct` wrote";
+    if !path.exists() {
+        let message =
+            format!("{shown}: {expected}, found nothing of this name; is the path right from here?");
+        return Failure::usage(message);
+    }
+    if !is_session(path) {
+        return Failure::usage(error);
+    }
+    Failure::usage(format!(
+        "{shown}: {expected}, found a session, which has frames and no points yet; reconstruct it first: `fourdbody \
+         reconstruct {shown} --calibration FILE --out DIR`, then use DIR. Its frames and times: `fourdbody export \
+         {shown} --to png,csv --out DIR`"
+    ))
+}
+
+/// Whether recordings lie here, by the names alone.
+fn is_session(directory: &Path) -> bool {
+    let names = std::fs::read_dir(directory).into_iter().flatten().flatten().map(|entry| entry.file_name());
+    names.into_iter().any(|name| {
+        let name = name.to_string_lossy();
+        name.starts_with("node-") || (name.starts_with("segment-") && name.ends_with(".mcap"))
+    })
 }
 
 /// A parser of numbers within a range, for clap; `expected` describes them where an argument is refused.

@@ -92,7 +92,7 @@ pub(super) struct What {
     /// directory, or s3://BUCKET/PREFIX.
     #[arg(long, value_name = "DIR")]
     pub(super) out: PathBuf,
-    /// Only triggers A to B - 1.
+    /// Only triggers A to B - 1, or one trigger by its index.
     #[arg(long, value_name = "A..B", value_parser = parse_range)]
     triggers: Option<Range<u64>>,
     /// Only these cameras, separated by commas.
@@ -512,11 +512,17 @@ fn parse_margin(text: &str) -> Result<f32, String> {
     margin.ok_or_else(|| format!("expected a margin of 0.01 to 100, for instance 1.5, found {text:?}"))
 }
 
+/// Triggers: `A..B`, without B, or one index.
 pub(super) fn parse_range(text: &str) -> Result<Range<u64>, String> {
-    let parsed = text.split_once("..").and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
-    parsed
-        .filter(|range: &Range<u64>| range.start < range.end)
-        .ok_or_else(|| format!("expected A..B with A below B, for instance 0..120, found {text:?}"))
+    let parsed = match text.split_once("..") {
+        Some((a, b)) => a.parse().ok().zip(b.parse().ok()),
+        None => text.parse().ok().and_then(|one: u64| Some((one, one.checked_add(1)?))),
+    };
+    parsed.map(|(first, end)| first..end).filter(|range| range.start < range.end).ok_or_else(|| {
+        format!(
+            "expected A..B with A below B (0..120 are the triggers 0 to 119), or one index such as 12, found {text:?}"
+        )
+    })
 }
 
 fn parse_shard(text: &str) -> Result<(u64, u64), String> {
@@ -533,8 +539,9 @@ mod tests {
     #[test]
     fn ranges_and_shards_are_checked() {
         assert_eq!(parse_range("3..7"), Ok(3..7));
+        assert_eq!(parse_range("12"), Ok(12..13));
         assert_eq!(parse_shard("3/4"), Ok((3, 4)));
-        for bad in ["", "3", "7..3", "3..3", "a..b", "-1..2"] {
+        for bad in ["", "-3", "7..3", "3..3", "a..b", "-1..2", "..", "3..", "18446744073709551615"] {
             assert!(parse_range(bad).is_err(), "{bad}");
         }
         for bad in ["", "4/4", "1", "0/0", "-1/2"] {

@@ -3,8 +3,11 @@
 
 use super::failure::Failure;
 use crate::base::Exit;
+use crate::base::time::host_time_ns;
+use crate::control::links;
 use crate::control::tokens::{Role, SecretHash, Token, TokenList, random_text, token_name, write_private};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Make, renew, revoke and list the tokens of a node.
 ///
@@ -18,6 +21,7 @@ Example, for the node of the service:
   fourdbody status --nodes https://node-a.lab:7401 --token-file anna.token
   sudo -u fourdbody fourdbody token new --tokens /var/lib/fourdbody/tokens --role operate --name anna --file \
 /var/lib/fourdbody/anna.token --replace
+  sudo -u fourdbody fourdbody token link --tokens /var/lib/fourdbody/tokens --name anna --url https://node-a.lab:7401
   sudo -u fourdbody fourdbody token revoke --tokens /var/lib/fourdbody/tokens --name anna")]
 pub struct Args {
     #[command(subcommand)]
@@ -44,6 +48,21 @@ enum Action {
         #[arg(long)]
         replace: bool,
     },
+    /// Print a link that logs a browser in once, without the token: for a tablet, on which nobody types 64 characters.
+    Link {
+        /// The node's list of tokens (api.tokens).
+        #[arg(long, value_name = "FILE")]
+        tokens: PathBuf,
+        /// Whose login it is: a name in that list.
+        #[arg(long)]
+        name: String,
+        /// The console's address, as the browser is to open it.
+        #[arg(long, value_parser = console_address)]
+        url: String,
+        /// Minutes until the link expires, if nobody has used it.
+        #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=60))]
+        minutes: u32,
+    },
     /// Take a token back: who shows it is refused, and logins with it end.
     Revoke {
         /// The node's list of tokens (api.tokens).
@@ -67,6 +86,7 @@ enum Action {
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     match &args.action {
         Action::New { tokens, role, name, file, replace } => new(tokens, *role, name, file, *replace),
+        Action::Link { tokens, name, url, minutes } => link(tokens, name, url, *minutes),
         Action::Revoke { tokens, name } => revoke(tokens, name),
         Action::List { tokens, json } => list(tokens, *json),
     }
@@ -93,15 +113,41 @@ fn new(path: &Path, role: Role, name: &str, file: &Path, replace: bool) -> Resul
     Ok(Exit::Done)
 }
 
-fn revoke(path: &Path, name: &str) -> Result<Exit, Failure> {
-    let mut list = TokenList::load(path)?;
-    let before = list.0.len();
-    list.0.retain(|token| token.name != name);
-    if list.0.len() == before {
-        let names: Vec<&str> = list.0.iter().map(|token| token.name.as_str()).collect();
-        let message = format!("{} has no token for {name}; it has: {}", path.display(), names.join(", "));
+/// Accepts the address of a console: what a link is appended to.
+fn console_address(text: &str) -> Result<String, String> {
+    let rest = text.strip_prefix("http://").or_else(|| text.strip_prefix("https://")).unwrap_or_default();
+    let plain = |c: char| c.is_ascii_graphic() && !matches!(c, '#' | '?' | '@' | '\'' | '"' | '<' | '>');
+    if !rest.is_empty() && !rest.starts_with('/') && rest.chars().all(plain) {
+        return Ok(text.trim_end_matches('/').to_owned());
+    }
+    Err(format!("expected the console's address such as https://node-a.lab:7401, found {text:?}"))
+}
+
+fn link(path: &Path, name: &str, url: &str, minutes: u32) -> Result<Exit, Failure> {
+    let list = TokenList::load(path)?;
+    let token = list.0.iter().find(|token| token.name == name).ok_or_else(|| no_token(path, &list, name))?;
+    if token.role == Role::Peer {
+        let message = format!("{name} is another node (role peer); expected a person, who uses a browser");
         return Err(Failure::usage(message));
     }
+    let lifetime = Duration::from_secs(u64::from(minutes) * 60);
+    let code = links::issue(path, token, lifetime, host_time_ns())?;
+    println!("{url}/#login={code}");
+    eprintln!("logs {name} ({}) in once, within {minutes} minutes; give it to nobody else", token.role);
+    Ok(Exit::Done)
+}
+
+fn no_token(path: &Path, list: &TokenList, name: &str) -> Failure {
+    let names: Vec<&str> = list.0.iter().map(|token| token.name.as_str()).collect();
+    Failure::usage(format!("{} has no token for {name}; it has: {}", path.display(), names.join(", ")))
+}
+
+fn revoke(path: &Path, name: &str) -> Result<Exit, Failure> {
+    let mut list = TokenList::load(path)?;
+    if list.0.iter().all(|token| token.name != name) {
+        return Err(no_token(path, &list, name));
+    }
+    list.0.retain(|token| token.name != name);
     list.save(path)?;
     println!("{name}: revoked");
     Ok(Exit::Done)

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody view`: a picture of a cloud.
 
-use super::failure::{Failure, print, tell_amiss, unreadable, unusable_clouds};
+use super::failure::{Failure, no_reconstruction, print, tell_amiss, unreadable, unusable_clouds};
 use crate::base::Exit;
 use crate::base::image::write_png_rgb;
 use crate::batch::result::{self, Clouds};
@@ -69,6 +69,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 /// The requested cloud with its comments, and what is missing of it.
 fn load(args: &Args) -> Result<(Commented, Vec<String>), Failure> {
     let usage = |message: String| Failure::usage(message);
+    if !args.cloud.exists() {
+        return Err(no_reconstruction(&args.cloud, ""));
+    }
     if !args.cloud.is_dir() {
         if args.trigger.is_some() {
             return Err(usage("--trigger: is for a directory; this is one file".to_owned()));
@@ -86,8 +89,17 @@ fn load(args: &Args) -> Result<(Commented, Vec<String>), Failure> {
         if let Some(amiss) = args.trigger.map(amiss).filter(|amiss| !amiss.is_empty()) {
             return Failure::corrupt(amiss.join("\n"));
         }
-        let (first, last) = (clouds.merged.keys().next(), clouds.merged.keys().next_back());
-        usage(format!("--trigger: {} has merged clouds from {first:?} to {last:?}", args.cloud.display()))
+        let (shown, wanted) = (args.cloud.display(), args.trigger.unwrap_or_default());
+        match (clouds.merged.keys().next(), clouds.merged.keys().next_back()) {
+            (Some(first), Some(last)) => {
+                let found = clouds.merged.len();
+                let expected = format!("expected a trigger that {shown} has a cloud of: {first} to {last}");
+                usage(format!("--trigger {wanted}: {expected} ({found} of them), found none"))
+            }
+            _ => usage(format!(
+                "{shown}: expected merged clouds, found none; `fourdbody view` draws one of its files"
+            )),
+        }
     })?;
     let cloud = clouds.load(place).map_err(Failure::corrupt)?;
     Ok((cloud, amiss(trigger)))

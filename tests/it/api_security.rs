@@ -320,7 +320,7 @@ fn connections_and_requests_are_bounded() {
 }
 
 /// Repeats until it holds: the node looks at its tokens twice a second.
-fn soon(what: &str, holds: impl Fn() -> bool) {
+pub fn soon(what: &str, holds: impl Fn() -> bool) {
     let deadline = Instant::now() + Duration::from_secs(20);
     while !holds() {
         assert!(Instant::now() < deadline, "{what}");

@@ -39,7 +39,7 @@ fn half_a_ball(side: f32) -> Cloud {
 }
 
 /// A reconstruction of these triggers, of two cameras; the merged cloud of all of them.
-fn reconstruction(dir: &Path, triggers: &[u64]) -> Cloud {
+pub fn reconstruction(dir: &Path, triggers: &[u64]) -> Cloud {
     let clouds = [(0u8, "h0_up", half_a_ball(1.0)), (3, "h1_low", half_a_ball(-1.0))];
     let mut merged = Cloud::default();
     clouds.iter().for_each(|(number, _, cloud)| merged.merge(cloud, *number));

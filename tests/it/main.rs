@@ -11,6 +11,8 @@ mod api_description;
 #[cfg(feature = "aravis")]
 mod api_node;
 #[cfg(feature = "aravis")]
+mod api_open;
+#[cfg(feature = "aravis")]
 mod api_security;
 #[cfg(feature = "aravis")]
 mod api_session;
@@ -75,6 +77,8 @@ mod identity;
 #[cfg(feature = "aravis")]
 mod input_lines;
 #[cfg(feature = "aravis")]
+mod json_output;
+#[cfg(feature = "aravis")]
 mod kills;
 // Without live cameras only some of its parts are used.
 #[cfg_attr(not(feature = "aravis"), allow(dead_code))]
@@ -84,6 +88,9 @@ mod live_preview;
 #[cfg(feature = "aravis")]
 mod matrix;
 mod merging;
+mod messages;
+#[cfg_attr(not(feature = "aravis"), allow(dead_code))]
+mod monitoring;
 #[cfg(feature = "aravis")]
 mod new_bench;
 #[cfg(feature = "aravis")]
@@ -109,6 +116,7 @@ mod recording_regions;
 mod recover;
 #[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
 mod refusals;
+mod release;
 #[cfg(feature = "aravis")]
 mod report;
 mod result_files;
@@ -142,6 +150,8 @@ mod two_nodes;
 mod unread_output;
 mod unreadable_disk;
 mod unreadable_sessions;
+#[cfg(feature = "aravis")]
+mod upgrade;
 mod validate_commands;
 #[cfg(feature = "aravis")]
 mod warm_up;

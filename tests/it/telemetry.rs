@@ -3,7 +3,7 @@
 
 use crate::lab::{fourdbody, laboratory, start_nodes, text_of};
 use fourdbody::control::client::NodeClient;
-use fourdbody::control::status::{Devices, Health, Metrics, Settings, path};
+use fourdbody::control::status::{Devices, Fitness, Health, Metrics, Settings, path};
 use fourdbody::telemetry::exposition::text;
 use fourdbody::telemetry::{Family, Grade, thresholds};
 use std::time::{Duration, Instant};
@@ -40,6 +40,7 @@ fn what_is_counted_is_what_was_recorded() {
     nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
 
     let counted = families(&client);
+    crate::monitoring::assert_all_are_told(&counted);
     let cameras = before.cameras.len();
     assert_eq!(numbers(&counted, "fourdbody_frames_written_total"), vec![TRIGGERS as f64; cameras]);
     assert_eq!(numbers(&counted, "fourdbody_triggers_total"), [TRIGGERS as f64]);
@@ -87,6 +88,7 @@ fn what_is_counted_is_what_was_recorded() {
     }
     assert_eq!(after.cameras[0].configured[0].feature, "trigger_line");
     assert!(client.get::<Health>(path::HEALTH).expect("healthy").healthy);
+    assert_eq!(client.get::<Fitness>(path::FITNESS).expect("fit"), Fitness { fit: true, reasons: vec![] });
     let shown = text_of(&fourdbody(&["status", "--nodes", &laboratory.urls()]));
     assert!(shown.contains("good frames_missing") && shown.contains("durable_p99"), "{shown}");
 
@@ -103,4 +105,8 @@ fn what_is_counted_is_what_was_recorded() {
     let told: Health = serde_json::from_slice(&health.body).expect("health");
     assert_eq!((health.status.as_u16(), told.healthy), (503, false));
     assert!(told.reasons[0].contains(devices.cameras[0].id.as_str()), "{told:?}");
+    let open = client.ask(hyper::Method::GET, path::FITNESS, None, Duration::from_secs(10)).expect("fitness");
+    let told: Fitness = serde_json::from_slice(&open.body).expect("fitness");
+    assert_eq!((open.status.as_u16(), told.fit), (503, false));
+    assert_eq!(told.reasons, ["1 of 4 cameras cannot be used"]);
 }

@@ -51,7 +51,7 @@ pub struct Args {
     /// What to write, separated by commas.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "ply", value_name = "FORMAT,...")]
     to: Vec<Target>,
-    /// Only triggers A to B - 1.
+    /// Only triggers A to B - 1, or one trigger by its index.
     #[arg(long, value_name = "A..B", value_parser = super::reconstruct::parse_range)]
     triggers: Option<Range<u64>>,
     /// Only these cameras, separated by commas.
@@ -223,7 +223,12 @@ pub(super) fn chosen_triggers(wanted: Option<&Range<u64>>, all: Range<u64>) -> R
         None => Ok(all),
         Some(wanted) if wanted.start >= all.start && wanted.end <= all.end => Ok(wanted.clone()),
         Some(wanted) => {
-            Err(Failure::new(Exit::Usage, format!("--triggers {wanted:?}: there are triggers {all:?}")))
+            let message = if all.is_empty() {
+                "expected a part of what is there, found no trigger there".to_owned()
+            } else {
+                format!("expected a part of {}..{} (the last trigger is {})", all.start, all.end, all.end - 1)
+            };
+            Err(Failure::new(Exit::Usage, format!("--triggers {}..{}: {message}", wanted.start, wanted.end)))
         }
     }
 }

@@ -53,7 +53,7 @@ pub struct AuditLine {
     pub who: String,
     /// Their role, once they showed who they are.
     pub role: Option<Role>,
-    /// How they showed it: `socket`, `token`, `cookie` or `nothing`.
+    /// How they showed it: `socket`, `token`, `cookie`, `link` or `nothing`.
     pub via: Option<Via>,
     /// From where: an address, or `uid N` of the Unix socket.
     pub from: String,
@@ -176,7 +176,7 @@ pub(super) async fn audited(State(shared): State<Shared>, request: Request, next
     }
     let caller = request.extensions().get::<Caller>().cloned();
     let what = what_of(&request);
-    let secret = request.uri().path() == path::LOGIN;
+    let secret = [path::LOGIN, path::LOGIN_BY_LINK].contains(&request.uri().path());
     let is_preview = request.uri().path() == path::PREVIEW;
     let sent = request.extensions().get::<Sent>().filter(|_| !secret).cloned();
     // On a task of its own: a client that goes away while it waits takes neither the request nor its line along.

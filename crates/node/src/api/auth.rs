@@ -9,11 +9,13 @@ use super::logins::Logins;
 use super::refusal::Refusal;
 use super::transport::Link;
 use crate::base::Fault;
+use crate::base::time::host_time_ns;
 use crate::config::ApiConfig;
+use crate::control::links;
 use crate::control::proof::{self, ProvenRequest};
 pub use crate::control::status::Via;
 use crate::control::status::path;
-use crate::control::tokens::{Role, TokenList};
+use crate::control::tokens::{Role, Token, TokenList};
 use axum::extract::{FromRequestParts, Request, State};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
@@ -114,10 +116,28 @@ impl Auth {
         tokens.known.lock().unwrap_or_else(PoisonError::into_inner).problem.clone()
     }
 
-    /// Name and role of the token with this secret.
-    pub(super) fn bearer(&self, secret: &str) -> Option<(String, Role)> {
+    /// The token with this secret.
+    pub(super) fn bearer(&self, secret: &str) -> Option<Token> {
         let list = self.tokens.as_ref()?.current();
-        list.bearer(secret).map(|token| (token.name.clone(), token.role))
+        list.bearer(secret).cloned()
+    }
+
+    /// The token that a link logs in with; using it up is its proof. `None` with a line in the log.
+    pub(super) fn by_link(&self, code: &str) -> Option<Token> {
+        let tokens = self.tokens.as_ref()?;
+        let hash = match links::redeem(&tokens.path, code, host_time_ns()) {
+            Ok(hash) => hash,
+            Err(why) => {
+                tracing::warn!("a login by a link is refused: {why}");
+                return None;
+            }
+        };
+        let list = tokens.current();
+        let token = list.0.iter().find(|token| token.hash.is(&hash)).cloned();
+        if token.is_none() {
+            tracing::warn!("a login by a link is refused: its token was revoked or renewed");
+        }
+        token
     }
 
     /// Counts a refusal; the answer is another one where there were too many.
@@ -128,14 +148,12 @@ impl Auth {
         }
     }
 
-    /// The same for a login, in words for a person who has typed a token.
-    pub(super) fn refused_login(&self, link: &Link) -> Refusal {
+    /// The same for a login, in words for a person.
+    pub(super) fn refused_login(&self, link: &Link, message: &str) -> Refusal {
         let refusal = self.refused(link);
         if refusal.status != StatusCode::UNAUTHORIZED {
             return refusal;
         }
-        let message = "this node does not know the token: check that all of it was copied, and that it belongs to this \
-                       node. Your administrator can make another one with `fourdbody token new`";
         Refusal::new(StatusCode::UNAUTHORIZED, message)
     }
 
@@ -167,8 +185,8 @@ impl Auth {
             // A request with a token is judged by it, wherever it comes from.
             if let Some(shown) = headers.get(header::AUTHORIZATION) {
                 let secret = shown.to_str().ok().and_then(|text| text.strip_prefix("Bearer "))?;
-                let (name, role) = self.bearer(secret.trim())?;
-                return Some(token(name, role, Via::Token));
+                let found = self.bearer(secret.trim())?;
+                return Some(token(found.name, found.role, Via::Token));
             }
             if let Some(id) = cookie_of(headers, cookie) {
                 let (name, role) = self.logins.who(id, &tokens.current())?;
@@ -249,10 +267,11 @@ pub(super) fn only_looks(method: &Method) -> bool {
     matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS)
 }
 
-/// What needs no token: the console's page, and a login. Everything else below `/api/` is closed.
+/// What needs no token: the console's page, `/health` and a login. Everything else below `/api/` is closed.
 fn is_open(request: &Request) -> bool {
     let wanted = request.uri().path();
-    wanted == path::LOGIN || (!wanted.starts_with("/api/") && only_looks(request.method()))
+    [path::LOGIN, path::LOGIN_BY_LINK].contains(&wanted)
+        || (!wanted.starts_with("/api/") && only_looks(request.method()))
 }
 
 /// Every request passes through here: reading takes [`Role::View`], everything else [`Role::Operate`].

@@ -7,6 +7,7 @@ use super::refusal::Refusal;
 use super::transport::Link;
 use super::{Shared, limits};
 use crate::config::ApiConfig;
+use crate::control::status::path;
 use axum::body::{Body, Bytes, to_bytes};
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
@@ -166,7 +167,7 @@ fn check_origin(shared: &Shared, link: &Link, request: &Request) -> Result<(), R
     }
     if let Some(site) = text(&HeaderName::from_static("sec-fetch-site"))
         && !matches!(site, "same-origin" | "none")
-        && (!only_looks(request.method()) || request.uri().path().starts_with("/api/"))
+        && (!only_looks(request.method()) || !is_page(request.uri().path()))
     {
         return refused(format!("a page of another site ({site}) must not ask this node"));
     }
@@ -177,6 +178,11 @@ fn check_origin(shared: &Shared, link: &Link, request: &Request) -> Result<(), R
         return refused("expected an Origin header, as browsers send it, with a cookie".to_owned());
     }
     Ok(())
+}
+
+/// Links of other sites may lead to pages and their files; everything else is for our own pages.
+fn is_page(wanted: &str) -> bool {
+    !wanted.starts_with("/api/") && wanted != path::FITNESS
 }
 
 async fn read_body(headers: &HeaderMap, body: Body) -> Result<Bytes, Refusal> {

@@ -23,8 +23,8 @@ struct Login {
 pub struct Logins(Mutex<Vec<Login>>);
 
 impl Logins {
-    /// Begins one for the bearer of a secret; returns the cookie's value.
-    pub(super) fn begin(&self, secret: &str) -> io::Result<String> {
+    /// Begins one for the bearer of a token; returns the cookie's value.
+    pub(super) fn begin(&self, token: SecretHash) -> io::Result<String> {
         let id = random_text()?;
         let now = Instant::now();
         let mut logins = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -32,7 +32,7 @@ impl Logins {
         if logins.len() >= LOGINS_MAX {
             logins.remove(0);
         }
-        logins.push(Login { id: SecretHash::of(&id), token: SecretHash::of(secret), ends: now + LIFETIME });
+        logins.push(Login { id: SecretHash::of(&id), token, ends: now + LIFETIME });
         Ok(id)
     }
 
@@ -63,7 +63,7 @@ mod tests {
         let hash = SecretHash::of("secret");
         let tokens = TokenList(vec![Token { name: "anna".to_owned(), role: Role::Operate, hash }]);
         let logins = Logins::default();
-        let id = logins.begin("secret").expect("randomness");
+        let id = logins.begin(hash).expect("randomness");
         assert_eq!(logins.who(&id, &tokens), Some(("anna".to_owned(), Role::Operate)));
         assert_eq!(logins.who(&id[1..], &tokens), None);
         assert_eq!(logins.who(&id, &TokenList::default()), None, "its token was revoked");
@@ -74,7 +74,7 @@ mod tests {
     #[test]
     fn logins_are_bounded() {
         let logins = Logins::default();
-        (0..2 * LOGINS_MAX).for_each(|_| drop(logins.begin("secret")));
+        (0..2 * LOGINS_MAX).for_each(|_| drop(logins.begin(SecretHash::of("secret"))));
         assert_eq!(logins.0.lock().expect("not poisoned").len(), LOGINS_MAX);
     }
 }

@@ -149,10 +149,11 @@ impl State {
     }
 }
 
-/// All routes of the API with their description. Every one lies below `/api/`.
+/// All routes of the API with their description. Every one lies below `/api/`, but for the one of `routes::fitness`.
 fn api() -> OpenApiRouter<Shared> {
     OpenApiRouter::with_openapi(openapi::base())
         .merge(routes::node::routes())
+        .merge(routes::fitness::routes())
         .merge(routes::session::routes())
         .merge(routes::pictures::routes())
         .merge(routes::sessions::routes())

@@ -2,6 +2,7 @@
 //! The description of the API (OpenAPI), made from the code of its routes.
 
 use crate::base::Fault;
+use crate::control::status::path;
 use utoipa::OpenApi as _;
 use utoipa::openapi::security::{
     ApiKey, ApiKeyValue, Http, HttpAuthScheme, SecurityRequirement, SecurityScheme,
@@ -35,7 +36,7 @@ pub(super) fn complete(mut api: OpenApi) -> OpenApi {
     let none: [&str; 0] = [];
     api.security =
         Some(vec![SecurityRequirement::new("token", none), SecurityRequirement::new("cookie", none)]);
-    for (path, item) in &mut api.paths.paths {
+    for (name, item) in &mut api.paths.paths {
         let looks = item.get.iter_mut().map(|operation| (operation, false));
         let changes = [&mut item.post, &mut item.put, &mut item.patch, &mut item.delete];
         let changes =
@@ -67,8 +68,7 @@ pub(super) fn complete(mut api: OpenApi) -> OpenApi {
                     response.content.insert("application/json".to_owned(), fault_content().into());
                 }
             }
-            if path == crate::control::status::path::LOGIN || path == crate::control::status::path::CHALLENGE
-            {
+            if [path::LOGIN, path::LOGIN_BY_LINK, path::CHALLENGE, path::FITNESS].contains(&name.as_str()) {
                 operation.security = Some(Vec::new());
             }
         }

@@ -6,6 +6,8 @@ pub mod client;
 /// What the API asks of the node's thread.
 pub mod command;
 pub(crate) mod interest;
+/// Links that log a browser in once.
+pub mod links;
 /// How a token is shown where others could take it.
 pub mod proof;
 /// What an operator asks for.

@@ -352,8 +352,10 @@ pub enum Via {
     Socket,
     /// A token in the `Authorization` header.
     Token,
-    /// A browser's cookie, from a login with a token.
+    /// A browser's cookie, from a login.
     Cookie,
+    /// The code of a link, which works once.
+    Link,
     /// Not at all: TCP on a loopback address of a node without tokens.
     Nothing,
 }
@@ -364,6 +366,15 @@ pub struct Health {
     /// Whether a session could start now.
     pub healthy: bool,
     /// Everything that keeps a session from starting.
+    pub reasons: Vec<String>,
+}
+
+/// Whether the node's own parts are fit, for monitors without a token: it names no device, session or person.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Fitness {
+    /// Whether cameras, HSU and disk can take a session.
+    pub fit: bool,
+    /// A sentence for each part that is not fit.
     pub reasons: Vec<String>,
 }
 
@@ -458,6 +469,14 @@ pub struct Login {
     pub token: String,
 }
 
+/// A login by a link: its code works once.
+#[derive(Clone, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LoginByLink {
+    /// What follows `#login=` in the link that `fourdbody token link` printed.
+    pub code: String,
+}
+
 /// The number of a capture that has begun.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct CaptureBegun {
@@ -550,10 +569,13 @@ pub mod path {
     /// GET [`super::Challenge`]: what a proof of a token is made for, for clients over plain TCP.
     pub const CHALLENGE: &str = "/api/v1/challenge";
     pub const LOGIN: &str = "/api/v1/login";
+    pub const LOGIN_BY_LINK: &str = "/api/v1/login/link";
     pub const LOGOUT: &str = "/api/v1/logout";
     pub const IDENTITY: &str = "/api/v1/identity";
     /// GET: [`super::Health`]; 503 when a session could not start.
     pub const HEALTH: &str = "/api/v1/health";
+    /// Open to all, without a token.
+    pub const FITNESS: &str = "/health";
     pub const DEVICES: &str = "/api/v1/devices";
     pub const SETTINGS: &str = "/api/v1/settings";
     /// GET: metrics as Prometheus reads them.

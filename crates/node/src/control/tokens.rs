@@ -82,7 +82,8 @@ impl SecretHash {
         self.0.ct_eq(&other.0).into()
     }
 
-    fn parse(text: &str) -> Option<Self> {
+    /// Reads a hash as [`fmt::Display`] writes it: 64 hexadecimal digits.
+    pub(super) fn parse(text: &str) -> Option<Self> {
         from_hex(text)?.try_into().ok().map(Self)
     }
 }

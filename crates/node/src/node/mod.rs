@@ -15,6 +15,7 @@ pub mod node_thread;
 mod prepare;
 mod ptp_watch;
 mod session;
+mod session_lock;
 pub mod silence;
 mod silence_gate;
 pub mod state_machine;

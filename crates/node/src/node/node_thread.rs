@@ -4,6 +4,7 @@
 use super::devices::Devices;
 use super::event_kind::{self, EventKind};
 use super::session::Session;
+use super::session_lock::SessionLock;
 use super::state_machine::{Action, Event, Machine};
 use crate::acquire::preview::Taps;
 use crate::acquire::recorder::{RecorderCommand, RecorderOptions};
@@ -82,6 +83,10 @@ impl NodeThread {
         let taps =
             [(); 2].map(|()| Arc::new(Taps::new(config.cameras.iter().map(|camera| camera.id.clone()))));
         let telemetry = Arc::new(Telemetry::default());
+        let lock = SessionLock::of_service().unwrap_or_else(|error| {
+            tracing::warn!("RUNTIME_DIRECTORY: {error}; an upgrade of the package could end a session");
+            SessionLock::default()
+        });
         let node = Node {
             machine: Machine::new(period),
             config,
@@ -90,6 +95,7 @@ impl NodeThread {
             taps: taps.clone(),
             telemetry: Arc::clone(&telemetry),
             memory: ProcessMemory::at_start(),
+            lock,
             pending: None,
             waiting: None,
             status: Arc::clone(&status),
@@ -130,6 +136,8 @@ pub(crate) struct Node {
     pub(crate) telemetry: Arc<Telemetry>,
     /// What this process had before its first session.
     pub(crate) memory: ProcessMemory,
+    /// Held from before the preparation until the recording is closed.
+    lock: SessionLock,
     /// Answers the request for the preparation under way.
     pending: Option<Reply>,
     /// What a preview gives way to, while it ends.
@@ -191,6 +199,7 @@ impl Node {
             self.command(command);
         }
         if self.machine.phase() == Phase::Idle {
+            self.lock.give_back();
             // Opening one device may take seconds: the state of the others is published before.
             if self.devices.notice_lost() {
                 self.publish();
@@ -248,6 +257,12 @@ impl Node {
             Ok(dir) => dir,
             Err(message) => return drop(reply.send(Err(Fault::new(Exit::Usage, message)))),
         };
+        // A preview keeps no restart waiting.
+        if !request.preview
+            && let Err(fault) = self.lock.take(&request.name)
+        {
+            return drop(reply.send(Err(fault)));
+        }
         tracing::info!(session = request.name, triggers = request.triggers, "preparing");
         self.pending = Some(reply);
         let mut session = Session::new(request.clone(), dir, self.config.cameras.len());

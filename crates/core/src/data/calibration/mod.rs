@@ -4,6 +4,7 @@
 //! Versioned and self-describing; `sha256` covers the compact JSON of the same object without that field,
 //! so a file that was edited or cut is refused.
 
+mod found;
 mod identity;
 mod projector;
 mod rows;
@@ -20,7 +21,8 @@ use crate::geometry::Device;
 use crate::geometry::pattern::Pattern;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use std::io::Write;
+use std::fmt;
+use std::io::{self, Write};
 use std::ops::Range;
 use std::path::Path;
 
@@ -205,19 +207,27 @@ impl Calibration {
 
     /// Reads and checks a calibration file.
     pub fn load(path: &Path) -> Result<Self, FileError> {
-        let bytes = regular::read(path, regular::STATEMENT_BYTES).map_err(FileError::of(path))?;
-        Self::parse(&bytes).map_err(|reason| {
-            let expected = "expected a calibration.json as `fourdbody calibrate` writes it";
-            FileError::of(path)(format!("{reason}; {expected}"))
-        })
+        let told = |found: &dyn fmt::Display| {
+            FileError::of(path)(format!(
+                "expected a calibration.json as `fourdbody calibrate` writes it; found: {found}; a copy of the one \
+                 in use lies beside each result"
+            ))
+        };
+        let bytes = regular::read(path, regular::STATEMENT_BYTES).map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound => told(&"no file of this name"),
+            _ => FileError::of(path)(error),
+        })?;
+        Self::parse(&bytes).map_err(|reason| told(&reason))
     }
 
-    /// Checks the bytes of a calibration file.
+    /// Checks the bytes of a calibration file. The error is what was found instead of one.
     pub fn parse(bytes: &[u8]) -> Result<Self, String> {
-        let mut value: serde_json::Value =
-            json::from_slice(bytes).map_err(|e| format!("not valid JSON ({e})"))?;
-        let object = value.as_object_mut().ok_or("not a JSON object")?;
-        let stated = object.remove("sha256").ok_or("no sha256")?;
+        let mut value: serde_json::Value = json::from_slice(bytes).map_err(|e| found::not_json(bytes, &e))?;
+        let object = value.as_object_mut().ok_or("JSON that is not an object in braces")?;
+        if object.get("format").is_none_or(|format| format != FORMAT) {
+            return Err(found::another_object(object));
+        }
+        let stated = object.remove("sha256").ok_or("a calibration without its checksum (sha256)")?;
         let found = sha256(&value);
         // A later version may have other fields: that is reported before missing fields are.
         if let Some(version) = value["version"].as_u64().filter(|version| *version > u64::from(VERSION)) {
@@ -225,7 +235,7 @@ impl Calibration {
                 "version {version}, expected at most {VERSION}: written by a newer fourdbody"
             ));
         }
-        let calibration: Self = json::from_value(value).map_err(|e| e.to_string())?;
+        let calibration: Self = json::from_value(value).map_err(|e| found::misfit(&e))?;
         if calibration.format != FORMAT || !(OLDEST..=VERSION).contains(&calibration.version) {
             return Err(format!(
                 "format {:?} version {}, expected {FORMAT:?} version {OLDEST} to {VERSION}",

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Browsers: a token is exchanged for a cookie that no script can read.
+//! Browsers: a token, or the code of a link, is exchanged for a cookie that no script can read.
 
 use crate::api::Shared;
 use crate::api::auth::{Caller, cookie_of};
@@ -10,8 +10,8 @@ use crate::api::logins::LIFETIME;
 use crate::api::refusal::Refusal;
 use crate::api::transport::Link;
 use crate::base::{Exit, Fault};
-use crate::control::status::{Challenge, Identity, Login, Via, path};
-use crate::control::tokens::Role;
+use crate::control::status::{Challenge, Identity, Login, LoginByLink, Via, path};
+use crate::control::tokens::{Role, Token};
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -23,6 +23,7 @@ pub(in crate::api) fn routes() -> OpenApiRouter<Shared> {
     OpenApiRouter::new()
         .routes(routes!(challenge))
         .routes(routes!(login))
+        .routes(routes!(login_by_link))
         .routes(routes!(logout))
         .routes(routes!(identity))
 }
@@ -44,20 +45,48 @@ async fn login(
     Extension(link): Extension<Link>,
     Body(Login { token }): Body<Login>,
 ) -> Result<Response, Refusal> {
-    if !shared.auth.has_tokens() {
-        let message = "this node has no tokens (api.tokens): no login is needed";
-        return Err(Refusal::new(StatusCode::CONFLICT, message));
+    needs_login(&shared)?;
+    let message = "this node does not know the token: check that all of it was copied, and that it belongs to this node. \
+                   Your administrator can make another one with `fourdbody token new`";
+    let token = shared.auth.bearer(token.trim()).ok_or_else(|| shared.auth.refused_login(&link, message))?;
+    logged_in(&shared, &link, token, Via::Token)
+}
+
+/// Exchanges the code of a link (`fourdbody token link`) for the same cookie. A code works once, whatever comes of it.
+#[utoipa::path(post, path = path::LOGIN_BY_LINK, tag = "login", request_body = LoginByLink, responses(
+    (status = 200, description = "Logged in; the cookie is set.", body = Identity),
+    (status = 409, description = "This node has no tokens: no login is needed.", body = Fault),
+))]
+async fn login_by_link(
+    State(shared): State<Shared>,
+    Extension(link): Extension<Link>,
+    Body(LoginByLink { code }): Body<LoginByLink>,
+) -> Result<Response, Refusal> {
+    needs_login(&shared)?;
+    let message = "this link does not log in: it works once and for some minutes, at the node that it was made for. Your \
+                   administrator can make another one with `fourdbody token link`";
+    let token = shared.auth.by_link(code.trim()).ok_or_else(|| shared.auth.refused_login(&link, message))?;
+    logged_in(&shared, &link, token, Via::Link)
+}
+
+fn needs_login(shared: &Shared) -> Result<(), Refusal> {
+    if shared.auth.has_tokens() {
+        return Ok(());
     }
-    let Some((name, role)) = shared.auth.bearer(token.trim()) else {
-        return Err(shared.auth.refused_login(&link));
-    };
+    let message = "this node has no tokens (api.tokens): no login is needed";
+    Err(Refusal::new(StatusCode::CONFLICT, message))
+}
+
+/// Sets the cookie of a new login for the bearer of a token.
+fn logged_in(shared: &Shared, link: &Link, token: Token, via: Via) -> Result<Response, Refusal> {
+    let Token { name, role, hash } = token;
     if role == Role::Peer {
         return Err(Refusal::new(
             StatusCode::FORBIDDEN,
             "this is the token of a node; people have their own",
         ));
     }
-    let id = shared.auth.logins.begin(token.trim()).map_err(|e| {
+    let id = shared.auth.logins.begin(hash).map_err(|e| {
         Refusal::from(Fault::new(Exit::Failure, format!("the system gives no random numbers: {e}")))
     })?;
     let secure = if matches!(link, Link::Tcp { encrypted: true, .. }) { "; Secure" } else { "" };
@@ -66,7 +95,7 @@ async fn login(
     let identity = Identity { name: name.clone(), role, via: Via::Cookie };
     let mut response = ([(header::SET_COOKIE, cookie)], Json(identity)).into_response();
     // For the audit log.
-    response.extensions_mut().insert(Caller { key: Key::Token(name.clone()), name, role, via: Via::Token });
+    response.extensions_mut().insert(Caller { key: Key::Token(name.clone()), name, role, via });
     Ok(response)
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The API's routes, a file per resource; each has `routes()` with handlers and their description.
 
+pub(super) mod fitness;
 pub(super) mod login;
 pub(super) mod node;
 pub(super) mod peers;
