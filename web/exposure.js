@@ -92,7 +92,8 @@ async function set(head, exposure_us, gain_db) {
     if (!failed) lines.push(`To keep it, write into the node file, at [[camera]] ${ids.join(", ")}: ${[["exposure_us", exposure_us], ["gain_db", gain_db]].filter(([, value]) => value !== null).map(([word, value]) => `${word} = ${value}`).join(", ")}`);
     text($("exposure-said"), lines.join("\n"));
     $("exposure-said").className = failed ? "bad" : "";
-    if (!failed) rows.get(head).edited = false;
+    // The dialog may never have been open: a tile's button sets as well.
+    if (!failed && rows.has(head)) rows.get(head).edited = false;
   } catch (error) {
     text($("exposure-said"), error.message);
     $("exposure-said").className = "bad";
