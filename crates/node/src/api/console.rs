@@ -21,7 +21,7 @@ macro_rules! served {
 }
 
 /// The files of `web/` with their paths and content types.
-const FILES: [(&str, &str, &str); 31] = served![
+const FILES: [(&str, &str, &str); 34] = served![
     HTML "play.html",
     HTML "subject.html",
     STYLE "console.css",
@@ -52,6 +52,9 @@ const FILES: [(&str, &str, &str); 31] = served![
     SCRIPT "time-line.js",
     SCRIPT "told.js",
     SCRIPT "verdict.js",
+    SCRIPT "words.js",
+    SCRIPT "words-de.js",
+    SCRIPT "words-en.js",
     ICON "icon.svg",
 ];
 /// The page at the path `/`.
