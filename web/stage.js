@@ -93,10 +93,16 @@ function soFar() {
   return { kind: "", word: "", detail: takes.map((take) => `${take.name}: ${wordOf("verdict", take.verdict)}`).join("\n") };
 }
 
+/** A word in letters as large as it is seen whole in. */
+function large(element, word) {
+  text(element, word);
+  element.style.setProperty("--letters", word.length || 1);
+}
+
 export function showStage() {
   const now = state();
   $("state").className = now.kind;
-  text($("word"), now.word);
+  large($("word"), now.word);
   text($("clock"), now.clock ?? "");
   text($("detail"), now.detail.trim());
   $("progress").hidden = now.share == null;
@@ -105,7 +111,7 @@ export function showStage() {
   $("verdict").className = result.kind;
   $("verdict").toggleAttribute("data-so-far", Boolean(result.so_far));
   text($("verdict-of"), result.word ? (result.so_far ? t("result-so-far") : t("result-last")) : "");
-  text($("verdict-word"), result.word);
+  large($("verdict-word"), result.word);
   text($("verdict-detail"), result.detail.trim());
   document.title = `${now.word} – fourdbody`;
   return { now, result };
