@@ -270,7 +270,7 @@ export const GERMAN = {
   "take-silent": "Rechner {nodes} antwortet nicht: Sein Teil fehlt in der Liste",
   "take-rate": "{name} bewerten: {rating}",
   "rating-good": "Gut",
-  "rating-doubtful": "Unsicher",
+  "rating-doubtful": "Unklar",
   "rating-bad": "Schlecht",
   "take-note": "Notiz zu {name}",
   "take-note-hint": "Notiz zu dieser Aufnahme",
