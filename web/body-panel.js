@@ -1,6 +1,7 @@
 // The place of the body: the live one, or the take that has just ended; its views, and its keys.
 
 import { $, make } from "./elements.js";
+import { onLanguage, wordOf } from "./words.js";
 
 /** From where the body is seen: azimuth from the rig's +x, and height, rad. Right and left are the subject's. */
 const VIEWS = [["front", 0, 0.05], ["left", Math.PI / 2, 0.05], ["right", -Math.PI / 2, 0.05], ["top", 0, 1.5]];
@@ -23,18 +24,22 @@ export function showBody(name) {
 
 const current = () => views.get(shown());
 
-for (const [i, [name, azimuth, height]] of VIEWS.entries()) {
-  const look = () => {
-    current()?.turns(false);
-    current()?.view.look(azimuth, height);
-  };
-  const button = make("button", { type: "button", onclick: look }, `${name} `, make("kbd", { textContent: String(i + 1) }));
-  button.setAttribute("aria-keyshortcuts", String(i + 1));
+/** Adds a button with its key. */
+function addButton(name, key, onclick) {
+  const word = make("span");
+  onLanguage(() => (word.textContent = wordOf("view", name)));
+  const button = make("button", { type: "button", onclick }, word, " ", make("kbd", { textContent: key }));
+  button.setAttribute("aria-keyshortcuts", key);
   $("body-views").append(button);
 }
-const turn = make("button", { type: "button", onclick: () => current()?.turns(true) }, "turn ", make("kbd", { textContent: "5" }));
-turn.setAttribute("aria-keyshortcuts", "5");
-$("body-views").append(turn);
+
+for (const [i, [name, azimuth, height]] of VIEWS.entries()) {
+  addButton(name, String(i + 1), () => {
+    current()?.turns(false);
+    current()?.view.look(azimuth, height);
+  });
+}
+addButton("turn", "5", () => current()?.turns(true));
 
 /** Does what a key stands for wherever the focus is; false: it stands for nothing here. */
 export function bodyKey(key) {

@@ -3,8 +3,7 @@
 import { $, make, text } from "./elements.js";
 import { node } from "./node-client.js";
 import { nodes } from "./told.js";
-
-const WORDS = { green: "OK, nothing has moved", amber: "a device has moved a little", red: "calibrate again", grey: "not checked" };
+import { t, wordOf } from "./words.js";
 
 /** The last answer of each node's worker, by node. */
 const lights = new Map();
@@ -24,20 +23,20 @@ export function lightOf(name, id) {
   const told = [...lights.values()];
   const all = told.flatMap(({ sessions }) => sessions);
   const found = all.find((one) => id && one.session_id === id) ?? all.find((one) => !one.session_id && one.session === name);
-  const unknown = { light: "grey", said: (told.find(({ worker }) => worker) ?? told[0])?.otherwise ?? "no node has answered yet" };
+  const unknown = { light: "grey", said: (told.find(({ worker }) => worker) ?? told[0])?.otherwise ?? t("light-no-node") };
   const { light, said } = found ?? unknown;
-  return { light, word: WORDS[light], said };
+  return { light, word: wordOf("light", light), said };
 }
 
 /** Shows a light: a sign of another shape for each, the word, and the sentence behind it. */
 export function showLight(element, { name, light: { light, word, said } }) {
   element.className = `light ${light}`;
   element.title = said;
-  text(element, `calibration, ${name}: ${said.startsWith(word) ? said : `${word} (${said})`}`);
+  text(element, t("light-of", { name, said: said.startsWith(word) ? said : `${word} (${said})` }));
 }
 
 /** The same in a list, where the sentence stands only where something is wrong. */
 export function lamp({ light, word, said }) {
   const wrong = light === "amber" || light === "red";
-  return make("p", { className: `light ${light}`, title: said, textContent: `calibration: ${word}${wrong ? ` (${said})` : ""}` });
+  return make("p", { className: `light ${light}`, title: said, textContent: t("light-in-list", { said: wrong ? `${word} (${said})` : word }) });
 }

@@ -14,6 +14,7 @@ import { refreshTakes } from "./takes.js";
 import { refreshPictures, showTiles } from "./tiles.js";
 import { showTimeLine } from "./time-line.js";
 import { GONE_S, LATE_S, nodes, silence_s, take, told } from "./told.js";
+import { onLanguage, t } from "./words.js";
 
 const POLL_MS = 300;
 
@@ -43,8 +44,8 @@ function watchConnection() {
   $("gone").hidden = silent <= LATE_S;
   $("gone").className = gone ? "bad" : "";
   $("console").classList.toggle("stale", silent > LATE_S);
-  const news = `No news from node ${told.status.node} for ${span(silent)}`;
-  text($("gone"), gone ? `${news.toUpperCase()}: nothing here is current` : news);
+  const news = t("silent", { node: told.status.node, time: span(silent) });
+  text($("gone"), gone ? t("silent-long", { news: news.toUpperCase() }) : news);
 }
 
 /** Takes what a node answers, unless a question that was asked later has been answered before. */
@@ -145,6 +146,7 @@ $("logout").addEventListener("click", async () => {
   leave();
 });
 onAct(() => refresh().catch(() => {}));
+onLanguage(show);
 
 async function begun(code) {
   for (;;) {

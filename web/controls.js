@@ -5,6 +5,7 @@ import { $, text } from "./elements.js";
 import { asked, defaultName, series } from "./form.js";
 import { node } from "./node-client.js";
 import { cannotRecord, cannotRun, sessionsUnderWay, told } from "./told.js";
+import { t } from "./words.js";
 
 let pictures = null; // whether the operator wants pictures while nothing is recorded; null: as the node file has it
 let refused = null; // why the last button's request was refused
@@ -49,12 +50,12 @@ export function showControls() {
   $("dry").disabled = running || !may || cannotRun(wish) !== null;
   const missing = running ? null : cannotRecord(wish);
   $("start").disabled = !may || (!holding() && (running || missing !== null));
-  text($("start-word"), !running && wish.before ? "Hold" : "Record");
+  text($("start-word"), !running && wish.before ? t("hold") : t("record"));
   $("name").placeholder = defaultName();
   $("look").disabled = !may;
   $("look").setAttribute("aria-pressed", String(wantsPictures()));
   for (const id of ["stop", "abort"]) $(id).disabled = !running || !may;
-  const looks = may ? null : "this token may only view (role view)";
+  const looks = may ? null : t("cannot-role");
   text($("why"), refused ?? looks ?? missing ?? "");
   $("why").title = $("why").textContent;
   $("why").className = refused || missing ? "bad" : "";

@@ -1,5 +1,7 @@
 // The small things that every part of the console makes its elements with.
 
+import { number } from "./words.js";
+
 export const $ = (id) => document.getElementById(id);
 
 /** Sets a text, where it is another one: so nothing is selected away or read aloud twice. */
@@ -15,10 +17,7 @@ export const make = (tag, attributes = {}, ...children) => {
 
 /** A time span for people. */
 export const span = (seconds) => {
-  if (seconds < 10) return `${seconds.toFixed(1)} s`;
-  if (seconds < 90) return `${seconds.toFixed(0)} s`;
-  return seconds < 5400 ? `${(seconds / 60).toFixed(0)} min` : `${(seconds / 3600).toFixed(1)} h`;
+  if (seconds < 10) return `${number(seconds, 1)} s`;
+  if (seconds < 90) return `${number(seconds, 0)} s`;
+  return seconds < 5400 ? `${number(seconds / 60, 0)} min` : `${number(seconds / 3600, 1)} h`;
 };
-
-/** `1 frame`, `2 frames`. */
-export const count = (number, word) => `${number} ${word}${number === 1 ? "" : "s"}`;

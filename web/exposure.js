@@ -5,6 +5,7 @@ import { say } from "./controls.js";
 import { node } from "./node-client.js";
 import { exposureOf, onBrighten } from "./tiles.js";
 import { nodes, told } from "./told.js";
+import { number, onLanguage, t } from "./words.js";
 
 /** Rows of the form, by head. */
 const rows = new Map();
@@ -34,19 +35,19 @@ function heads() {
 const advised_us = ({ us, ev, most_us }) => Math.round(Math.min(us * 2 ** ev, most_us - 0.05) * 10) / 10;
 
 function row(head) {
-  const field = (label, unit) => {
+  const field = (label) => {
     const input = make("input", { type: "number", step: "any", min: "0", required: true });
-    input.setAttribute("aria-label", `${label} of head ${head}, ${unit}`);
+    input.setAttribute("aria-label", label);
     return input;
   };
-  const shown = { us: field("exposure", "us"), db: field("gain", "dB"), advice: make("button", { type: "button" }), set: make("button", { textContent: "Set", className: "go" }), now: make("p", { className: "facts" }), edited: false };
-  shown.set.setAttribute("aria-label", `set head ${head}`);
+  const shown = { us: field(t("exposure-us-label", { head })), db: field(t("exposure-db-label", { head })), advice: make("button", { type: "button" }), set: make("button", { textContent: t("exposure-set"), className: "go" }), now: make("p", { className: "facts" }), edited: false };
+  shown.set.setAttribute("aria-label", t("exposure-set-head", { head }));
   for (const input of [shown.us, shown.db]) input.addEventListener("input", () => (shown.edited = true));
   shown.advice.addEventListener("click", () => {
     shown.us.value = advised_us(heads().find((one) => one.head === head));
     shown.edited = true;
   });
-  shown.form = make("form", { className: "head-exposure" }, make("b", { textContent: head }), make("label", {}, "us ", shown.us), make("label", {}, "dB ", shown.db), shown.advice, shown.set, shown.now);
+  shown.form = make("form", { className: "head-exposure" }, make("b", { textContent: head }), make("label", {}, t("exposure-us"), " ", shown.us), make("label", {}, "dB ", shown.db), shown.advice, shown.set, shown.now);
   shown.form.dataset.head = head;
   shown.form.addEventListener("submit", (event) => {
     event.preventDefault();
@@ -68,11 +69,13 @@ export function showExposure() {
     if (!shown.edited && head.db !== null) shown.db.value = head.db;
     const known = head.ev !== null && head.us !== null;
     const limited = known && head.us * 2 ** head.ev > head.most_us;
-    text(shown.advice, known ? `${head.ev < 0 ? "" : "+"}${head.ev.toFixed(1)} EV: ${advised_us(head)} us${limited ? " (the most)" : ""}` : "no advice yet");
+    const advice = known ? { ev: `${head.ev < 0 ? "" : "+"}${number(head.ev, 1)}`, us: advised_us(head) } : null;
+    text(shown.advice, !advice ? t("exposure-no-advice") : limited ? t("exposure-advice-most", advice) : t("exposure-advice", advice));
     shown.advice.disabled = !known;
     shown.set.disabled = busy || told.role === "view";
-    const now = head.us === null ? "set by raw settings in the node file" : `${head.us} us, ${head.db ?? "?"} dB, at most ${head.most_us.toFixed(0)} us`;
-    text(shown.now, `${head.cameras.join(", ")}: ${now}${head.differs ? "; not as in the node file" : ""}`);
+    const cameras = head.cameras.join(", ");
+    const now = head.us === null ? t("exposure-raw", { cameras }) : t("exposure-now", { cameras, us: head.us, db: head.db ?? "?", most: number(head.most_us, 0) });
+    text(shown.now, now + (head.differs ? t("exposure-differs") : ""));
   }
   const forms = all.map(({ head }) => rows.get(head).form);
   if ($("exposure-heads").childElementCount !== forms.length) $("exposure-heads").replaceChildren(...forms);
@@ -80,19 +83,20 @@ export function showExposure() {
 
 async function set(head, exposure_us, gain_db) {
   busy = true;
-  text($("exposure-said"), `setting ${head} …`);
+  text($("exposure-said"), t("exposure-setting", { head }));
   showExposure();
   try {
     // A node that is gone is asked, too: what it does not take is told.
     const asked = nodes().filter(({ last }) => last?.cameras.some(({ exposure }) => exposure?.head === head));
     const answers = await Promise.allSettled(asked.map(({ peer }) => node.expose(peer, { heads: [head], exposure_us, gain_db })));
-    const lines = answers.flatMap(({ value, reason }, i) => (reason ? [`node ${asked[i].name}: ${reason.message}`] : value.cameras.map(taken)));
+    const lines = answers.flatMap(({ value, reason }, i) => (reason ? [t("node-says", { node: asked[i].name, said: reason.message })] : value.cameras.map(taken)));
     const failed = answers.some(({ reason }) => reason);
     const ids = answers.flatMap(({ value }) => value?.cameras.map(({ id }) => id) ?? []);
-    if (!failed) lines.push(`To keep it, write into the node file, at [[camera]] ${ids.join(", ")}: ${[["exposure_us", exposure_us], ["gain_db", gain_db]].filter(([, value]) => value !== null).map(([word, value]) => `${word} = ${value}`).join(", ")}`);
+    if (!failed) lines.push(t("exposure-keep", { cameras: ids.join(", "), lines: [["exposure_us", exposure_us], ["gain_db", gain_db]].filter(([, value]) => value !== null).map(([word, value]) => `${word} = ${value}`).join(", ") }));
     text($("exposure-said"), lines.join("\n"));
     $("exposure-said").className = failed ? "bad" : "";
-    if (!failed) rows.get(head).edited = false;
+    // The dialog may never have been open: a tile's button sets as well.
+    if (!failed && rows.has(head)) rows.get(head).edited = false;
   } catch (error) {
     text($("exposure-said"), error.message);
     $("exposure-said").className = "bad";
@@ -104,7 +108,7 @@ async function set(head, exposure_us, gain_db) {
 
 /** What a camera took, in its own features. */
 const taken = ({ id, exposure_us, gain_db, taken }) =>
-  `${id}: set to ${exposure_us} us, ${gain_db} dB (${taken.map(({ feature, actual }) => `${feature} ${typeof actual === "number" ? Math.round(actual * 100) / 100 : actual}`).join(", ")})`;
+  t("exposure-taken", { id, us: exposure_us, db: gain_db, features: taken.map(({ feature, actual }) => `${feature} ${typeof actual === "number" ? Math.round(actual * 100) / 100 : actual}`).join(", ") });
 
 $("exposure-open").addEventListener("click", () => {
   for (const shown of rows.values()) shown.edited = false;
@@ -128,5 +132,11 @@ $("exposure-all").addEventListener("click", async () => {
     await set(head.head, advised_us(head), head.db);
     lines.push($("exposure-said").textContent);
   }
-  text($("exposure-said"), lines.join("\n") || "no picture of this minute has fringes: there is no advice");
+  text($("exposure-said"), lines.join("\n") || t("exposure-none"));
+});
+
+// The rows of heads are made anew when they are shown next.
+onLanguage(() => {
+  rows.clear();
+  $("exposure-heads").replaceChildren();
 });

@@ -1,11 +1,16 @@
 // What the capture form asks for: a series of takes, and how much of the disk that needs.
 
 import { $, make } from "./elements.js";
+import { onLanguage, t } from "./words.js";
 
 /** The HSU's inputs, an edge of which may begin a session: `LINE:rising` or `LINE:falling`. */
 const INPUTS = 8;
 for (let line = 0; line < INPUTS; line++) {
-  for (const edge of ["rising", "falling"]) $("start-on").append(make("option", { value: `${line}:${edge}`, textContent: `when the signal on input ${line} goes ${edge === "rising" ? "on" : "off"}` }));
+  for (const edge of ["rising", "falling"]) {
+    const option = make("option", { value: `${line}:${edge}` });
+    onLanguage(() => (option.textContent = t(`form-start-${edge}`, { line })));
+    $("start-on").append(option);
+  }
 }
 
 const filled = (id) => $(id).value.trim() || null;

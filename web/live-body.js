@@ -5,7 +5,8 @@ import { addView } from "./body-panel.js";
 import { CloudView } from "./cloud-view.js";
 import { $, text } from "./elements.js";
 import { Refused, node } from "./node-client.js";
-import { told } from "./told.js";
+import { nodes, told } from "./told.js";
+import { number, t } from "./words.js";
 
 /** A body that is older is shown in grey, and after some seconds more not at all. */
 const OLD_MS = 1000;
@@ -31,9 +32,12 @@ const shares = (cameras) => cameras.map(({ camera, lit, points, refused }) => ({
 /** The line below the body. */
 function said({ facts }, age_ms) {
   const poor = shares(facts.cameras).filter(({ share, lit, refused }) => refused || (lit && share < POOR));
-  const of = poor.map(({ camera, share, refused, lit }) => (refused ? `camera ${camera} ${lit ? "gives no certain points" : "sees no body"}` : `camera ${camera} sees only ${Math.round(100 * share)} % of the body`));
-  const age = age_ms > OLD_MS ? `${(age_ms / 1000).toFixed(1)} s old` : `${(age_ms / 1000).toFixed(1)} s delay`;
-  return [`${facts.cameras.length} cameras, ${facts.frame_sets_per_s.toFixed(1)} pictures/s, ${age}`, ...of].join(" · ");
+  const of = poor.map(({ camera, share, refused, lit }) =>
+    (!refused ? t("live-share", { camera, share: Math.round(100 * share) }) : lit ? t("live-uncertain", { camera }) : t("live-nobody", { camera })));
+  const seconds = number(age_ms / 1000, 1);
+  const age = age_ms > OLD_MS ? t("live-old", { age: seconds }) : t("live-delay", { age: seconds });
+  const all = nodes().reduce((sum, { last }) => sum + (last?.cameras.length ?? 0), 0);
+  return [t("live-facts", { seen: facts.cameras.length, n: all, rate: number(facts.frame_sets_per_s, 1), age }), ...of].join(" · ");
 }
 
 function show() {
@@ -41,7 +45,7 @@ function show() {
   const gone = age_ms > GONE_MS;
   section.classList.toggle("none", gone);
   section.classList.toggle("old", age_ms > OLD_MS);
-  text($("live-detail"), gone ? (told.noBody ? `no live body: ${told.noBody}` : "no live body: the cameras stand still, or see nobody") : said(last, age_ms));
+  text($("live-detail"), gone ? (told.noBody ? t("live-none", { why: told.noBody }) : t("live-none-still")) : said(last, age_ms));
 }
 
 /** Waits for the next frame set and shows it; throws where there will be none. */

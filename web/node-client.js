@@ -1,5 +1,7 @@
 // What the console asks of the node that served it. Other nodes are reached through it, below /api/v1/peers/NAME.
 
+import { t } from "./words.js";
+
 // Relative to the page: a proxy may serve the node below a path of its own.
 const API = "api/v1";
 
@@ -19,11 +21,11 @@ async function ask(path, options = {}, patience_ms = 4000) {
   try {
     answer = await fetch(API + path, { cache: "no-store", signal: AbortSignal.timeout(patience_ms), ...options });
   } catch {
-    throw new Gone("the node does not answer");
+    throw new Gone(t("no-answer"));
   }
   if (!answer.ok) {
     const fault = await answer.json().catch(() => ({}));
-    throw new Refused(answer.status, fault.message ?? `the node answered ${answer.status}`);
+    throw new Refused(answer.status, fault.message ?? t("answered", { status: answer.status }));
   }
   return answer;
 }

@@ -4,6 +4,7 @@
 import { $, text } from "./elements.js";
 import { Gone, Refused, node } from "./node-client.js";
 import { Player } from "./player.js";
+import { number, t } from "./words.js";
 
 /** Packed points that are kept, bytes: all frame sets of ten seconds at 120 Hz. Of a longer session those about the play head. */
 const PACKED_BYTES = 400 << 20;
@@ -36,7 +37,7 @@ async function persist(asking, signal) {
       if (signal?.aborted) throw signal.reason;
       const passes = error instanceof Gone || (error instanceof Refused && [401, 409, 429, 503].includes(error.status));
       if (!passes) throw error;
-      text($("player-state"), error.status === 401 ? "log in at the console first" : error.message);
+      text($("player-state"), error.status === 401 ? t("play-login") : error.message);
       await pause(RETRY_MS, signal);
     }
   }
@@ -155,18 +156,18 @@ class NodeSource {
 }
 
 async function begin() {
-  text($("title"), session || "no session is named");
+  text($("title"), session || t("play-no-name"));
   document.title = `${session} - fourdbody`;
   if (!session) return;
   try {
     const source = new NodeSource(await persist(() => node.frameSets(peer, session)));
-    const player = new Player($("player"), source);
+    const player = new Player($("player"), source, { t, number });
     source.onKept = () => {
       $("player").dataset.kept = String(source.kept.size);
-      text(player.note, `${source.kept.size} of ${source.triggers.length} frame sets are here, ${Math.round(source.bytes / 2 ** 20)} MiB`);
+      text(player.note, t("play-here", { kept: source.kept.size, n: source.triggers.length, mib: Math.round(source.bytes / 2 ** 20) }));
     };
   } catch (error) {
-    text($("player-state"), `cannot be played: ${error.message}`);
+    text($("player-state"), t("play-cannot", { why: error.message }));
   }
 }
 

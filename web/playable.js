@@ -3,6 +3,7 @@
 import { make } from "./elements.js";
 import { node } from "./node-client.js";
 import { nodes } from "./told.js";
+import { t } from "./words.js";
 
 /** What each node told last, by node. */
 const known = new Map();
@@ -29,7 +30,7 @@ export function playButton({ name, playable, word }) {
   if (!playable || word === "recording") return [];
   const { peer, why } = playable;
   const page = `play.html?session=${encodeURIComponent(name)}&node=${encodeURIComponent(peer ?? "")}`;
-  const button = make("button", { type: "button", textContent: "Play", disabled: Boolean(why), title: why ?? "", onclick: () => window.open(page, "_blank", "noopener") });
-  button.setAttribute("aria-label", why ? `play ${name}: ${why}` : `play ${name}`);
+  const button = make("button", { type: "button", textContent: t("take-play"), disabled: Boolean(why), title: why ?? "", onclick: () => window.open(page, "_blank", "noopener") });
+  button.setAttribute("aria-label", why ? t("take-play-not", { name, why }) : t("take-play-label", { name }));
   return [button];
 }

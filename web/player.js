@@ -4,6 +4,32 @@
 
 import { CloudView } from "./cloud-view.js";
 
+/** The player's words, where the page that it is in gives it no others: words-en.js has the same. */
+const ENGLISH_WORDS = {
+  "player-play": "Play",
+  "player-pause": "Pause",
+  "player-canvas": "point cloud: arrow keys, plus and minus turn and move it; space plays, comma and full stop step; click two points to measure",
+  "player-place": "frame set",
+  "player-speed": "speed",
+  "player-colour": "colour",
+  "player-intensity": "intensity",
+  "player-normals": "normals",
+  "player-uncertainty": "uncertainty",
+  "player-uncertainty-not": "uncertainty (not known)",
+  "player-points": "At most {points} points of each frame set, in tenths of a millimetre. Click two points for their distance.",
+  "player-at": "trigger {trigger}, {seconds} s",
+  "player-at-none": "trigger {trigger}, {seconds} s: no cloud ({why})",
+  "player-point": "({x}, {y}, {z}) mm at trigger {trigger}",
+  "player-from": "from {a}",
+  "player-between": "{mm} mm between {a} and {b}",
+};
+
+/** The same as in words.js. */
+const english = {
+  t: (key, values = {}) => ENGLISH_WORDS[key].replace(/\{(\w+)\}/g, (_, name) => String(values[name])),
+  number: (value, digits) => value.toFixed(digits),
+};
+
 const PACKED_POINT = 12;
 /** Unpacked points that are kept, bytes, and how many frame sets are unpacked before they are due. */
 const UNPACKED_BYTES = 96 << 20;
@@ -58,7 +84,8 @@ export class PageSource {
 
 /** Plays what a source has, with all its controls in `root`. */
 export class Player {
-  constructor(root, source) {
+  constructor(root, source, { t, number } = english) {
+    Object.assign(this, { t, number });
     this.root = root;
     this.source = source;
     const { runs, holes, seconds } = source.described;
@@ -106,21 +133,22 @@ export class Player {
       return made;
     };
     const choice = (of) => make("select", {}, ...of.map(([value, label]) => make("option", { value }, label)));
-    const canvas = make("canvas", { id: "played", tabindex: "0", "aria-label": "point cloud: arrow keys, plus and minus turn and move it; space plays, comma and full stop step; click two points to measure" });
+    const { t } = this;
+    const canvas = make("canvas", { id: "played", tabindex: "0", "aria-label": t("player-canvas") });
     this.dots = [0, 1].map(() => make("i", { class: "picked", hidden: "" }));
-    this.button = make("button", { type: "button" }, "Play");
-    this.place = make("input", { type: "range", min: "0", max: String(this.triggers.length - 1), value: "0", "aria-label": "frame set" });
+    this.button = make("button", { type: "button" }, t("player-play"));
+    this.place = make("input", { type: "range", min: "0", max: String(this.triggers.length - 1), value: "0", "aria-label": t("player-place") });
     this.holes = make("div", { class: "holes" });
     this.speed = choice([1, 2, 4, 8, 16].map((slow) => [String(1 / slow), `1/${slow}`]));
     this.speed.value = "0.25";
-    this.colour = choice(["intensity", "normals", "uncertainty"].map((what) => [what, what]));
+    this.colour = choice(["intensity", "normals", "uncertainty"].map((what) => [what, t(`player-${what}`)]));
     [this.told, this.distance, this.note] = [make("output"), make("output"), make("p", { class: "soft" })];
     const slider = make("div", { class: "slider" }, this.place, this.holes);
     this.root.append(
       make("div", { class: "stage" }, canvas, ...this.dots),
-      make("div", { class: "controls" }, this.button, slider, make("label", {}, "speed ", this.speed), make("label", {}, "colour ", this.colour), this.told),
+      make("div", { class: "controls" }, this.button, slider, make("label", {}, t("player-speed"), " ", this.speed), make("label", {}, t("player-colour"), " ", this.colour), this.told),
       make("p", {}, this.distance),
-      make("p", { class: "soft" }, `At most ${this.source.described.points_each} points of each frame set, in tenths of a millimetre. Click two points for their distance.`),
+      make("p", { class: "soft" }, t("player-points", { points: this.source.described.points_each })),
       this.note,
     );
     this.view = new CloudView(canvas);
@@ -214,8 +242,8 @@ export class Player {
     this.centred ||= Boolean(points);
     this.place.value = String(place);
     const [trigger, seconds] = [this.triggers[place], this.seconds[place]];
-    const none = points ? "" : `: no cloud (${this.why.get(place)})`;
-    this.told.textContent = `trigger ${trigger}, ${seconds.toFixed(3)} s${none}`;
+    const at = { trigger: String(trigger), seconds: this.number(seconds, 3), why: this.why.get(place) };
+    this.told.textContent = points ? this.t("player-at", at) : this.t("player-at-none", at);
     this.place.setAttribute("aria-valuetext", this.told.textContent);
     this.view.canvas.dataset.points = String(this.view.points);
     if (points) this.tellUncertainty(points);
@@ -225,7 +253,7 @@ export class Player {
   /** Says whether this frame set has uncertainties: without them all is grey. */
   tellUncertainty(points) {
     const known = points.byteLength >= PACKED_POINT && new Uint8Array(points, PACKED_POINT - 1, 1)[0] > 0;
-    const label = known ? "uncertainty" : "uncertainty (not known)";
+    const label = known ? this.t("player-uncertainty") : this.t("player-uncertainty-not");
     const option = this.colour.options[2];
     if (option.textContent !== label) option.textContent = label;
   }
@@ -237,7 +265,7 @@ export class Player {
 
   pause() {
     this.playing = null;
-    this.button.textContent = "Play";
+    this.button.textContent = this.t("player-play");
   }
 
   /** From where it is, or from the beginning at the end. */
@@ -245,7 +273,7 @@ export class Player {
     if (this.wanted + 1 >= this.triggers.length) this.seek(0);
     const run = { from: this.seconds[this.wanted], since: performance.now() };
     this.playing = run;
-    this.button.textContent = "Pause";
+    this.button.textContent = this.t("player-pause");
     const tick = (now) => {
       if (this.playing !== run) return;
       const due = run.from + (Math.max(0, now - run.since) / 1000) * Number(this.speed.value);
@@ -268,9 +296,12 @@ export class Player {
     if (this.picked.length === 2) this.picked = [];
     this.picked.push({ point, trigger: this.triggers[this.shown] });
     const [a, b] = this.picked;
-    const at = ({ point, trigger }) => `(${point.map((x) => (1000 * x).toFixed(1)).join(", ")}) mm at trigger ${trigger}`;
+    const at = ({ point, trigger }) => {
+      const [x, y, z] = point.map((metres) => this.number(1000 * metres, 1));
+      return this.t("player-point", { x, y, z, trigger: String(trigger) });
+    };
     const length = b && 1000 * Math.hypot(...a.point.map((x, axis) => x - b.point[axis]));
-    this.distance.textContent = b ? `${length.toFixed(1)} mm between ${at(a)} and ${at(b)}` : `from ${at(a)}`;
+    this.distance.textContent = b ? this.t("player-between", { mm: this.number(length, 1), a: at(a), b: at(b) }) : this.t("player-from", { a: at(a) });
     this.view.draw();
   }
 

@@ -5,6 +5,7 @@ import { CloudView } from "./cloud-view.js";
 import { $, make, text } from "./elements.js";
 import { node } from "./node-client.js";
 import { nodes } from "./told.js";
+import { onLanguage, t, wordOf } from "./words.js";
 
 const view = new CloudView($("cloud-canvas"));
 /** As for the live body. */
@@ -23,7 +24,7 @@ setInterval(() => turns && !still.matches && shown() === "take" && view.points &
 export async function openLook(session) {
   Object.assign(look, { session, trigger: null, wanted: session });
   text($("cloud-title"), session);
-  text($("cloud-detail"), "the nodes make a body of it");
+  text($("cloud-detail"), t("cloud-asked"));
   view.show([]);
   $("cloud-canvas").dataset.points = "0";
   turns = true;
@@ -40,14 +41,14 @@ export async function refreshLook() {
   const ready = states.filter((state) => state.triggers.length);
   const triggers = [...new Set(ready.flatMap((state) => state.triggers))].sort((a, b) => a - b);
   $("cloud-sets").replaceChildren(...triggers.map((trigger) => {
-    const button = make("button", { type: "button", textContent: `trigger ${trigger}`, onclick: () => showCloud(ready, trigger) });
+    const button = make("button", { type: "button", textContent: t("cloud-trigger", { trigger: String(trigger) }), onclick: () => showCloud(ready, trigger) });
+    button.dataset.trigger = String(trigger);
     button.setAttribute("aria-pressed", String(trigger === look.trigger));
     return button;
   }));
   const told = states.filter(({ state }) => state !== "ready" && state !== "not_asked").map((state) => {
-    if (state.state === "working") return `node ${state.name}: frame set ${state.done + 1} of ${state.of}`;
-    if (state.state === "failed") return `node ${state.name}: ${state.reason}`;
-    return `node ${state.name}: ${state.state.replaceAll("_", " ")}`;
+    const said = state.state === "working" ? t("look-working", { number: state.done + 1, all: state.of }) : state.state === "failed" ? state.reason : wordOf("look", state.state);
+    return t("node-says", { node: state.name, said });
   });
   if (told.length) text($("cloud-detail"), told.join("; "));
   const complete = states.length > 0 && states.every((state) => state.state === "ready");
@@ -61,11 +62,13 @@ async function showCloud(states, trigger) {
   for (const state of states) if (state.triggers.includes(trigger)) clouds.push(await node.cloud(state.peer, look.session, trigger));
   const points = view.show(clouds);
   look.trigger = trigger;
-  text($("cloud-detail"), view.works ? `trigger ${trigger}: ${points} points, from ${states.length} nodes` : "this browser has no WebGL 2; see fourdbody view");
-  for (const button of $("cloud-sets").children) button.setAttribute("aria-pressed", String(button.textContent === `trigger ${trigger}`));
+  text($("cloud-detail"), view.works ? t("cloud-facts", { trigger: String(trigger), points, n: states.length }) : t("cloud-no-webgl"));
+  for (const button of $("cloud-sets").children) button.setAttribute("aria-pressed", String(button.dataset.trigger === String(trigger)));
   $("cloud-canvas").dataset.points = String(points);
 }
 
 /** The take that is shown. */
 export const lookedAt = () => look.session;
 $("cloud-close").addEventListener("click", () => showBody("live"));
+// What is said of it is said anew.
+onLanguage(() => Object.assign(look, { trigger: null, wanted: look.session }));

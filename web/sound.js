@@ -1,6 +1,7 @@
 // Sound at the countdown, at the start, at the end, and when a frame is lost; it can be muted, and that is remembered.
 
 import { $, text } from "./elements.js";
+import { onLanguage, t } from "./words.js";
 
 /** Frequency (Hz) and length (s) of each tone, one after the other. */
 const TONES = {
@@ -49,7 +50,7 @@ export function listen(capture, lost) {
 
 function show() {
   $("mute").setAttribute("aria-pressed", String(muted));
-  text($("mute").firstChild, muted ? "Muted " : "Sound on ");
+  text($("mute-word"), muted ? t("sound-off") : t("sound-on"));
 }
 
 $("mute").addEventListener("click", () => {
@@ -59,4 +60,4 @@ $("mute").addEventListener("click", () => {
 });
 // A browser lets a page sound only once somebody has touched it.
 for (const touch of ["pointerdown", "keydown"]) addEventListener(touch, () => (context ??= new AudioContext()), { once: true });
-show();
+onLanguage(show);

@@ -2,15 +2,16 @@
 
 import { showBody } from "./body-panel.js";
 import { lamp, lightOf, refreshLights, showLight } from "./calibration-light.js";
-import { $, count, make, text } from "./elements.js";
+import { $, make, text } from "./elements.js";
 import { Refused, node } from "./node-client.js";
 import { playButton, playableOf, refreshPlayable } from "./playable.js";
 import { lookedAt, openLook } from "./quick-look.js";
 import { nodes, sessionsUnderWay, told } from "./told.js";
-import { causesOf, expectedOf, framesOf, kindOf, worstOf } from "./verdict.js";
+import { causesOf, expectedOf, framesOf, kindOf, largeWord, worstOf } from "./verdict.js";
+import { date, language, onLanguage, t, wordOf } from "./words.js";
 
 const LISTED = 200;
-const RATINGS = [["good", "Good"], ["doubtful", "Unsure"], ["bad", "Bad"]];
+const RATINGS = ["good", "doubtful", "bad"];
 
 /** What is shown, as text: so that the list is made anew only when it has changed. */
 let listed = "";
@@ -45,11 +46,11 @@ export async function refreshTakes() {
   const ended = last && last.word !== "recording";
   if (!search) $("verdict-light").hidden = !ended;
   if (!search && ended) showLight($("verdict-light"), last);
-  const now = JSON.stringify([takes, search]);
+  const now = JSON.stringify([takes, search, language()]);
   // Nobody loses what they are writing, nor the button that they are about to press.
   if (now === listed || $("session-rows").contains(document.activeElement)) return;
   listed = now;
-  const none = make("li", { className: "none", textContent: search ? `nothing recorded has ${JSON.stringify(search)} in name, subject or note` : "nothing recorded yet" });
+  const none = make("li", { className: "none", textContent: search ? t("takes-none-found", { search: JSON.stringify(search) }) : t("takes-none") });
   $("session-rows").replaceChildren(...(takes.length ? takes.map(row) : [none]));
 }
 
@@ -63,12 +64,12 @@ function sumUp({ name, created_ns, parts }, silent) {
   const verdicts = parts.flatMap(({ node: from, entry }) => (entry.verdict ? [{ from, verdict: entry.verdict }] : []));
   const frames = verdicts.reduce((sum, { verdict }) => sum + framesOf(verdict), 0);
   const expected = verdicts.reduce((sum, { verdict }) => sum + expectedOf(verdict), 0);
-  const causes = verdicts.flatMap(({ from, verdict }) => causesOf(verdict).map((cause) => `node ${from}: ${cause}`));
+  const causes = verdicts.flatMap(({ from, verdict }) => causesOf(verdict).map((said) => t("node-says", { node: from, said })));
   if (!now) {
-    for (const { node: from, entry } of parts) if (!entry.verdict) causes.push(`node ${from}: ${entry.problem ?? "not finished"}`);
-    if (alone) causes.push(`recorded by node ${parts.map(({ node: from }) => from).join(", ")} only`);
+    for (const { node: from, entry } of parts) if (!entry.verdict) causes.push(t("node-says", { node: from, said: entry.problem ?? t("take-not-finished") }));
+    if (alone) causes.push(t("take-alone", { nodes: parts.map(({ node: from }) => from).join(", ") }));
   }
-  if (unknown.length) causes.push(`node ${unknown.join(", ")} does not answer: its part is not listed`);
+  if (unknown.length) causes.push(t("take-silent", { nodes: unknown.join(", ") }));
   const { subject, note } = parts[0].entry;
   const remark = parts.map(({ entry }) => entry.remark).find(Boolean) ?? {};
   const id = parts.map(({ entry }) => entry.session_id).find(Boolean);
@@ -77,9 +78,9 @@ function sumUp({ name, created_ns, parts }, silent) {
 }
 
 function row(take) {
-  const facts = [new Date(take.created_ns / 1e6).toLocaleString([], { dateStyle: "short", timeStyle: "short" }), take.subject, take.expected ? `${take.frames} of ${count(take.expected, "frame")}` : "", take.note];
+  const facts = [date(take.created_ns), take.subject, take.expected ? t("frames-of", { frames: take.frames, n: take.expected }) : "", take.note];
   const head = make("p", { className: "head" },
-    make("span", { className: "verdict", textContent: take.word.toUpperCase() }),
+    make("span", { className: "verdict", textContent: largeWord(take.word) }),
     make("span", { className: "name", textContent: take.name }),
     make("span", { className: "facts", textContent: facts.filter(Boolean).join(" · ") }));
   const item = make("li", { className: take.kind }, head);
@@ -97,16 +98,17 @@ function remarkOf(take) {
   const may = told.role !== "view";
   const remark = { rating: take.remark.rating ?? null, note: take.remark.note ?? null };
   const problem = make("p", { className: "causes", role: "alert" });
-  const buttons = RATINGS.map(([rating, label]) => {
+  const buttons = RATINGS.map((rating) => {
+    const label = wordOf("rating", rating);
     const button = make("button", { type: "button", textContent: label, disabled: !may, onclick: () => keep({ rating: remark.rating === rating ? null : rating }) });
-    button.setAttribute("aria-label", `rate ${take.name} ${rating}`);
+    button.setAttribute("aria-label", t("take-rate", { name: take.name, rating: label }));
     return button;
   });
-  const note = make("input", { value: remark.note ?? "", placeholder: "note on this take", maxLength: 500, disabled: !may, onchange: () => keep({ note: note.value.trim() || null }) });
-  note.setAttribute("aria-label", `note on ${take.name}`);
-  const look = make("button", { type: "button", textContent: "Look", onclick: () => openLook(take.name) });
-  look.setAttribute("aria-label", `quick look at ${take.name}`);
-  const mark = () => RATINGS.forEach(([rating], i) => buttons[i].setAttribute("aria-pressed", String(remark.rating === rating)));
+  const note = make("input", { value: remark.note ?? "", placeholder: t("take-note-hint"), maxLength: 500, disabled: !may, onchange: () => keep({ note: note.value.trim() || null }) });
+  note.setAttribute("aria-label", t("take-note", { name: take.name }));
+  const look = make("button", { type: "button", textContent: t("take-look"), onclick: () => openLook(take.name) });
+  look.setAttribute("aria-label", t("take-look-label", { name: take.name }));
+  const mark = () => RATINGS.forEach((rating, i) => buttons[i].setAttribute("aria-pressed", String(remark.rating === rating)));
   let kept = Promise.resolve();
   /** One after the other: what was said last is what stays. */
   function keep(change) {
@@ -120,7 +122,7 @@ function remarkOf(take) {
     const failed = told.flatMap(({ reason }) => reason ?? []);
     // A node that has no part of the take has nothing to keep.
     const wrong = failed.filter((error) => !(error instanceof Refused && error.status === 404) || failed.length === told.length);
-    text(problem, wrong.map((error) => `not kept: ${error.message}`).join("; "));
+    text(problem, wrong.map((error) => t("take-not-kept", { why: error.message })).join("; "));
   }
   mark();
   return make("div", { className: "remarks" }, make("div", { className: "remark", role: "group" }, ...buttons, note, look, ...playButton(take)), problem);
@@ -149,3 +151,4 @@ $("search").addEventListener("input", () => {
   clearTimeout(waiting);
   waiting = setTimeout(() => refreshTakes().catch(() => {}), 250);
 });
+onLanguage(() => refreshTakes().catch(() => {}));

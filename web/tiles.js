@@ -3,6 +3,7 @@
 import { $, make, span, text } from "./elements.js";
 import { node } from "./node-client.js";
 import { cameraProblem, lossOf, nodes, told } from "./told.js";
+import { number, onLanguage, t, wordOf } from "./words.js";
 
 /** A picture that is older than this is not what the camera sees now. */
 const LIVE_S = 2;
@@ -10,8 +11,8 @@ const LIVE_S = 2;
 const ADVICE_S = 60;
 /** Largest step of the button beside a picture, EV. */
 const STEP_EV = 0.5;
-/** The signs, each of another shape, with what they stand for. */
-const SIGNS = { good: ["●", "good"], look: ["◆", "look here"], bad: ["▲", "bad"], none: ["○", "nothing is known"] };
+/** The signs, each of another shape. */
+const SIGNS = { good: "●", look: "◆", bad: "▲", none: "○" };
 
 const cameras = new Map();
 let large = null; // the camera whose picture is enlarged
@@ -21,11 +22,11 @@ let brighten = async () => {};
 export const onBrighten = (doing) => (brighten = doing);
 
 function tile(id) {
-  const picture = make("img", { alt: `what ${id} sees`, hidden: true });
-  const empty = make("span", { textContent: "no picture yet" });
+  const picture = make("img", { alt: t("tile-picture", { id }), hidden: true });
+  const empty = make("span", { textContent: t("tile-empty") });
   const [sign, age] = [make("span", { className: "sign" }), make("span", { className: "age" })];
   const frame = make("button", { type: "button", className: "frame", onclick: () => enlarge(id) }, empty, picture);
-  frame.setAttribute("aria-label", `enlarge ${id}`);
+  frame.setAttribute("aria-label", t("tile-enlarge", { id }));
   // What is wrong; where the exposure is, it is put right with a click.
   const said = make("button", { type: "button", className: "said", disabled: true });
   said.addEventListener("click", () => brighten(id, stepOf(id)));
@@ -70,16 +71,16 @@ export function showTiles() {
 function remarks({ light, grades }) {
   const found = [];
   const kind = { bad: "bad", fair: "look" };
-  const overexposed = `overexposed: ${(100 * light.saturated).toFixed(light.saturated < 0.1 ? 1 : 0)} %`;
+  const overexposed = t("tile-overexposed", { share: number(100 * light.saturated, light.saturated < 0.1 ? 1 : 0) });
   if (kind[grades.saturated]) found.push({ kind: kind[grades.saturated], words: overexposed });
-  if (kind[grades.modulation]) found.push({ kind: kind[grades.modulation], words: "weak stripes" });
+  if (kind[grades.modulation]) found.push({ kind: kind[grades.modulation], words: t("tile-weak") });
   return found.sort((a, b) => a.kind.localeCompare(b.kind));
 }
 
 /** {kind, words} of a camera: what is wrong with it, then with its losses, then with its light. */
 function judge(shown, { problem, lost, live }) {
   if (problem) return { kind: "bad", words: problem };
-  if (lost) return { kind: "bad", words: `${lost} lost` };
+  if (lost) return { kind: "bad", words: t("tile-lost", { n: lost }) };
   if (!live || !shown.fact?.light) return { kind: "none", words: "" };
   return remarks(shown.fact)[0] ?? { kind: "good", words: "" };
 }
@@ -95,14 +96,13 @@ function showTile(shown, from, camera) {
   shown.box.className = `camera ${problem ? "bad" : live ? "live" : ""} ${live ? "" : "old"}`;
   shown.box.dataset.trigger = shown.fact?.trigger ?? "";
   shown.box.dataset.sign = judged.kind;
-  const [sign, meaning] = SIGNS[judged.kind];
-  text(shown.sign, sign);
-  shown.sign.title = meaning;
-  text(shown.age, age === null ? "" : live ? "live" : age < 10 ? `${Math.floor(age)} s` : span(age));
-  shown.age.title = live ? "" : "how old the picture is";
+  text(shown.sign, SIGNS[judged.kind]);
+  shown.sign.title = wordOf("sign", judged.kind);
+  text(shown.age, age === null ? "" : live ? t("tile-live") : age < 10 ? `${Math.floor(age)} s` : span(age));
+  shown.age.title = live ? "" : t("tile-age");
   const ev = problem || running || told.role === "view" ? 0 : stepOf(camera.id);
   shown.said.disabled = ev === 0;
-  text(shown.said, ev ? `${ev < 0 ? "darken" : "brighten"} ½ step` : judged.words);
+  text(shown.said, ev < 0 ? t("tile-darken") : ev > 0 ? t("tile-brighten") : judged.words);
   shown.said.title = judged.words;
 }
 
@@ -121,17 +121,17 @@ $("large-frame").addEventListener("click", () => $("large").close());
 /** The enlarged picture with the figures behind its sign. */
 function showLarge() {
   const shown = cameras.get(large);
-  text($("large-title"), `Camera ${large}, ${shown.age.textContent || "no picture yet"}`);
+  text($("large-title"), t("large-title", { id: large, age: shown.age.textContent || t("tile-empty") }));
   $("large-picture").src = shown.picture.src;
   $("large-picture").alt = shown.picture.alt;
   const light = shown.fact?.light;
   const figures = light ? [
-    ["overexposed", `${(100 * light.saturated).toFixed(2)} %`],
-    ["stripes", `${light.modulation_dn.toFixed(0)} DN, contrast ${(100 * light.contrast).toFixed(0)} %`],
+    [t("large-overexposed"), `${number(100 * light.saturated, 2)} %`],
+    [t("large-stripes"), t("large-stripes-are", { dn: number(light.modulation_dn, 0), contrast: number(100 * light.contrast, 0) })],
     // Sharpness has no right value: the best one so far stands beside it.
-    ["sharpness", `${light.focus.toFixed(2)}, best so far ${shown.best.toFixed(2)}`],
-    ["exposure", light.exposure ? `${light.exposure.ev < 0 ? "" : "+"}${light.exposure.ev.toFixed(1)} EV would be right` : "no advice"],
-    ["lost", String(shown.lost)],
+    [t("large-sharpness"), t("large-sharpness-is", { now: number(light.focus, 2), best: number(shown.best, 2) })],
+    [t("large-exposure"), light.exposure ? t("large-exposure-is", { ev: `${light.exposure.ev < 0 ? "" : "+"}${number(light.exposure.ev, 1)}` }) : t("large-no-advice")],
+    [t("large-lost"), number(shown.lost)],
   ] : [];
   const now = JSON.stringify(figures);
   if ($("large-figures").dataset.now === now) return;
@@ -168,3 +168,9 @@ async function refreshLight(peer, shown) {
   $("large-light").src = URL.createObjectURL(blob);
   if (before) URL.revokeObjectURL(before);
 }
+
+// The tiles are made anew when they are shown next.
+onLanguage(() => {
+  cameras.clear();
+  $("tiles").replaceChildren();
+});

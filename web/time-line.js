@@ -1,7 +1,8 @@
 // The time line of the session as it happens: losses of each camera, how full the ring is, and the disk.
 
-import { $, count, span, text } from "./elements.js";
+import { $, span, text } from "./elements.js";
 import { disks, lossOf, nodes, sessionsUnderWay } from "./told.js";
+import { number, t } from "./words.js";
 
 /** Samples of the session that is shown: {trigger, losses by camera, ring, ring_high}. It stays until the next begins. */
 const shown = { id: null, asked: 0, name: "", samples: [], cameras: [] };
@@ -55,9 +56,10 @@ export function showTimeLine() {
     text($("line-lost"), String(lost));
     $("line-lost").className = lost ? "bad" : "";
     text($("line-ring"), `${Math.round(100 * last.ring)} %`);
-    $("line-ring").title = `at most ${Math.round(100 * last.most)} % in this session`;
+    $("line-ring").title = t("line-buffer-most", { most: Math.round(100 * last.most) });
     $("line-ring").className = last.ring >= 0.75 ? "bad" : last.ring >= 0.25 ? "warn" : "";
-    const what = `${shown.name}: trigger ${last.trigger}${shown.asked ? ` of ${shown.asked}` : ""}, ${count(lost, "frame")} lost, buffer at most ${Math.round(100 * last.most)} % full`;
+    const facts = { name: shown.name, trigger: last.trigger, asked: shown.asked, n: lost, most: Math.round(100 * last.most) };
+    const what = shown.asked ? t("line-said-of", facts) : t("line-said", facts);
     if ($("line-canvas").ariaLabel !== what) $("line-canvas").ariaLabel = what;
   }
   $("line-canvas").dataset.samples = String(shown.samples.length);
@@ -88,7 +90,7 @@ function paint(canvas) {
   const last = shown.samples.at(-1);
   if (!last) {
     pen.fillStyle = colour("soft");
-    pen.fillText("lost frames appear here while you record", 4, height / 2);
+    pen.fillText(t("line-empty"), 4, height / 2);
     return;
   }
   const begin = 4.2 * size;
@@ -99,9 +101,9 @@ function paint(canvas) {
   shown.cameras.forEach((id, row) => paintLane(pen, id, { row, lane, x, begin, size }));
   paintRing(pen, { top: lanes + 3, height: height - lanes - size - 4, x, begin });
   pen.fillStyle = colour("soft");
-  pen.fillText("buffer", 2, lanes + (height - lanes - size) / 2);
+  pen.fillText(t("line-buffer"), 2, lanes + (height - lanes - size) / 2);
   pen.fillText("0 s", begin, height - size / 2);
-  const seconds = `${(end / (nodes()[0]?.last?.trigger_rate_hz || 1)).toFixed(1)} s`;
+  const seconds = `${number(end / (nodes()[0]?.last?.trigger_rate_hz || 1), 1)} s`;
   pen.fillText(seconds, width - pen.measureText(seconds).width - 2, height - size / 2);
 }
 

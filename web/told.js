@@ -1,6 +1,7 @@
 // What the nodes told last, how old that is, and what follows from it. Everything that is shown comes from here.
 
 import { span } from "./elements.js";
+import { t, wordOf } from "./words.js";
 
 /** What is older than this is grey, with its age: a node is busy with its devices, or the network is slow. */
 export const LATE_S = 2;
@@ -63,9 +64,9 @@ export function lossOf(status, id) {
 /** What is wrong with a camera in one sentence; null where nothing is. A session notices within three triggers that a
  * camera is silent, its driver some seconds later. */
 export function cameraProblem({ name, status, age_s }, camera) {
-  if (!status) return Number.isFinite(age_s) ? `no status from node ${name} for ${Math.floor(age_s)} s` : `no status from node ${name}`;
+  if (!status) return Number.isFinite(age_s) ? t("camera-no-status-for", { node: name, seconds: Math.floor(age_s) }) : t("camera-no-status", { node: name });
   if (camera.problem) return camera.problem;
-  return isSilent(status, camera.id) ? "stopped sending pictures" : null;
+  return isSilent(status, camera.id) ? t("camera-silent") : null;
 }
 
 /** Everything that is wrong now, each in one sentence with its place; the same problem of several cameras is one sentence. */
@@ -75,20 +76,19 @@ export function problems() {
   for (const node of nodes()) {
     const { name, status, age_s } = node;
     if (!status) {
-      const since = Number.isFinite(age_s) ? ` (${Math.floor(age_s)} s)` : "";
-      found.push(`node ${name} does not answer${since}: is its PC on, and \`fourdbody node\` running there?`);
+      found.push(Number.isFinite(age_s) ? t("problem-node-for", { node: name, seconds: Math.floor(age_s) }) : t("problem-node", { node: name }));
       continue;
     }
-    if (age_s > GONE_S) found.push(`node ${name} is busy with its devices: its status is ${Math.floor(age_s)} s old`);
+    if (age_s > GONE_S) found.push(t("problem-busy", { node: name, seconds: Math.floor(age_s) }));
     for (const camera of status.cameras) {
       const problem = cameraProblem(node, camera);
       if (!problem) continue;
       const words = problem.replace(`camera ${camera.id} `, "").replace(`camera ${camera.id}: `, "").replace(/^the camera /, "");
       cameras.set(words, [...(cameras.get(words) ?? []), camera.id]);
     }
-    if (status.hsu.problem) found.push(`HSU at node ${name}: ${status.hsu.problem}`);
+    if (status.hsu.problem) found.push(t("problem-hsu", { node: name, problem: status.hsu.problem }));
   }
-  const each = [...cameras].map(([problem, ids]) => `${ids.length > 1 ? "cameras" : "camera"} ${ids.join(", ")}: ${problem}`);
+  const each = [...cameras].map(([problem, ids]) => t("problem-cameras", { n: ids.length, cameras: ids.join(", "), problem }));
   return [...each, ...found];
 }
 
@@ -97,9 +97,9 @@ function fullDisk(asked) {
   // Until Stop: a few seconds at least.
   const needed_s = asked.seconds === null ? 5 : asked.takes * (asked.seconds + asked.before + asked.after);
   for (const { name, seconds } of disks()) {
-    if (seconds <= 0) return `the disk of node ${name} is full: delete or move takes`;
+    if (seconds <= 0) return t("cannot-disk-full", { node: name });
     if (seconds >= needed_s) continue;
-    return `the disk of node ${name} has room for ${span(seconds)}, and ${span(needed_s)} are asked for: delete or move takes, or record less`;
+    return t("cannot-disk-room", { node: name, room: span(seconds), needed: span(needed_s) });
   }
   return null;
 }
@@ -112,14 +112,14 @@ export const disks = () => nodes().flatMap(({ name, status }) => {
 
 /** Why cameras cannot be started now; null when they can. */
 export function cannotRun(asked) {
-  if (silence_s() > GONE_S) return `node ${told.status.node} does not answer`;
+  if (silence_s() > GONE_S) return t("cannot-node", { node: told.status.node });
   const [first] = problems();
   if (first) return first;
   const known = nodes();
   const busy = known.find(({ status }) => status.phase !== "idle" && !isInPreview(status));
-  if (busy) return `node ${busy.name} is ${busy.status.phase}`;
+  if (busy) return t("cannot-phase", { node: busy.name, phase: wordOf("phase", busy.status.phase) });
   const absent = told.status.rig_nodes.filter((name) => !known.some((node) => node.name === name));
-  if (absent.length && !asked.partial) return `node ${absent.join(", ")} of the rig is not among this node's peers; tick Part to record without it`;
+  if (absent.length && !asked.partial) return t("cannot-absent", { nodes: absent.join(", ") });
   return null;
 }
 

@@ -1,7 +1,7 @@
 // What a take, a series or a session amounts to: a word, its kind, and every cause.
 
-import { count } from "./elements.js";
 import { nodes, told } from "./told.js";
+import { t, wordOf } from "./words.js";
 
 /** From the worst to the best. */
 const WORDS = ["aborted", "unfinished", "incomplete", "unconfirmed", "partial", "complete"];
@@ -9,19 +9,22 @@ const KINDS = { complete: "good", partial: "warn", unconfirmed: "warn", incomple
 export const kindOf = (word) => KINDS[word] ?? "bad";
 export const worstOf = (words) => WORDS.find((word) => words.includes(word)) ?? "aborted";
 
+/** A word of WORDS as it stands in large letters. */
+export const largeWord = (word) => wordOf("verdict", word).toUpperCase();
+
 /** Gaps of a camera in words: `12 unplugged, 3 late`. */
-const gapsOf = (camera) => Object.entries(camera.gaps).map(([cause, number]) => `${number} ${cause.replaceAll("_", " ")}`).join(", ");
+const gapsOf = (camera) => Object.entries(camera.gaps).map(([cause, number]) => `${number} ${wordOf("cause", cause)}`).join(", ");
 
 /** Why one node's verdict is not complete. */
 export function causesOf(verdict) {
   const lines = verdict.cameras.filter((camera) => Object.keys(camera.gaps).length).map((camera) => `${camera.camera}: ${gapsOf(camera)}`);
   lines.push(...(verdict.advice ?? []));
-  if (verdict.untimed) lines.push(`when they were fired is lost: ${count(verdict.untimed, "trigger")}`);
-  if (verdict.unconfirmed) lines.push(`the timing of some frames is not proven: ${count(verdict.unconfirmed, "camera")}`);
-  lines.push(...(verdict.changed ?? []).map((changed) => `changed: ${changed}`));
-  lines.push(...(verdict.not_simultaneous ?? []).map((apart) => `not simultaneous with the others: ${apart}`));
-  if (verdict.refused) lines.push(`${count(verdict.refused, "frame")} refused`);
-  if (verdict.aborted) lines.push(`ended early: ${verdict.aborted}`);
+  if (verdict.untimed) lines.push(t("why-untimed", { n: verdict.untimed }));
+  if (verdict.unconfirmed) lines.push(t("why-unconfirmed", { n: verdict.unconfirmed }));
+  lines.push(...(verdict.changed ?? []).map((what) => t("why-changed", { what })));
+  lines.push(...(verdict.not_simultaneous ?? []).map((what) => t("why-not-simultaneous", { what })));
+  if (verdict.refused) lines.push(t("why-refused", { n: verdict.refused }));
+  if (verdict.aborted) lines.push(t("why-aborted", { why: verdict.aborted }));
   return lines;
 }
 
@@ -36,13 +39,14 @@ function sumUp(take) {
     if (verdict) {
       sum.frames += framesOf(verdict);
       sum.expected += expectedOf(verdict);
-      sum.causes.push(...[...causesOf(verdict), ...(session.notices ?? [])].map((cause) => `node ${node}: ${cause}`));
+      sum.causes.push(...[...causesOf(verdict), ...(session.notices ?? [])].map((said) => t("node-says", { node, said })));
     } else {
       const written = session.cameras.reduce((frames, camera) => frames + camera.frames, 0);
-      sum.causes.push(`node ${node}: ${session.outcome?.failed?.message ?? "no verdict"}; ${count(written, "frame")} at its last status`);
+      const said = session.outcome?.failed?.message ?? t("result-no-verdict");
+      sum.causes.push(t("node-says", { node, said: t("result-last-status", { said, n: written }) }));
     }
   }
-  if (take.not_asked?.length) sum.causes.push(`node ${take.not_asked.join(", ")} took no part`);
+  if (take.not_asked?.length) sum.causes.push(t("result-no-part", { nodes: take.not_asked.join(", ") }));
   return sum;
 }
 
@@ -50,7 +54,7 @@ function sumUp(take) {
 function saidOnce(message) {
   const parts = message.split("; ").map((part) => part.match(/^node ([^:]+): (.*)$/s));
   if (parts.length < 2 || parts.some((part) => !part || part[2] !== parts[0][2])) return message;
-  return `nodes ${parts.map((part) => part[1]).join(", ")}: ${parts[0][2]}`;
+  return t("nodes-say", { nodes: parts.map((part) => part[1]).join(", "), said: parts[0][2] });
 }
 
 /** {kind, word, detail} of a series that has ended. */
@@ -60,29 +64,29 @@ function ofCapture(capture) {
   const sum = (key) => takes.reduce((total, take) => total + take[key], 0);
   const lines = [];
   if (capture.fault) {
-    const place = asked > 1 ? `take ${capture.take} of ${asked}: ` : "";
-    lines.push(`${place}${saidOnce(capture.fault.message)}`);
-    if (takes.length) lines.push(`kept: ${count(takes.length, "take")} before it`);
+    const said = saidOnce(capture.fault.message);
+    lines.push(asked > 1 ? t("result-take-fault", { take: capture.take, takes: asked, said }) : said);
+    if (takes.length) lines.push(t("result-kept", { n: takes.length }));
   }
   // The first line is the one that is read from afar.
   for (const take of takes) {
     if (!take.causes.length) continue;
-    const head = takes.length > 1 ? `${take.name} ${take.word.toUpperCase()}: ` : "";
+    const head = takes.length > 1 ? `${take.name} ${largeWord(take.word)}: ` : "";
     lines.push(...take.causes.map((cause) => head + cause));
   }
   if (takes.length) {
     const names = takes.map(({ name }) => name);
     const which = names.length > 2 ? `${names[0]} … ${names.at(-1)}` : names.join(", ");
-    const of = asked > 1 ? `${takes.length} of ${count(asked, "take")}, ` : "";
-    lines.push(`${of}${sum("frames")} of ${count(sum("expected"), "frame")}: ${which}`);
+    const of = asked > 1 ? `${t("takes-of", { takes: takes.length, n: asked })}, ` : "";
+    lines.push(`${of}${t("frames-of", { frames: sum("frames"), n: sum("expected") })}: ${which}`);
   }
-  if (wish.dry_run) lines.push("a dry run: nothing was recorded");
+  if (wish.dry_run) lines.push(t("result-dry-run"));
   if (capture.stopped) lines.push(capture.stopped);
-  if (capture.fault && !takes.length && capture.asked_to_end) return { kind: "warn", word: "STOPPED", detail: lines.join("\n") };
-  if (capture.fault) return { kind: "bad", word: "FAILED", detail: lines.join("\n") };
-  if (!takes.length) return { kind: "warn", word: "STOPPED", detail: capture.stopped ?? "nothing was recorded" };
+  if (capture.fault && !takes.length && capture.asked_to_end) return { kind: "warn", word: t("result-stopped"), detail: lines.join("\n") };
+  if (capture.fault) return { kind: "bad", word: t("result-failed"), detail: lines.join("\n") };
+  if (!takes.length) return { kind: "warn", word: t("result-stopped"), detail: capture.stopped ?? t("result-nothing-recorded") };
   const word = worstOf(takes.map((take) => take.word));
-  return { kind: kindOf(word), word: word.toUpperCase(), detail: lines.join("\n") };
+  return { kind: kindOf(word), word: largeWord(word), detail: lines.join("\n") };
 }
 
 /** The same of a session that was begun elsewhere, from what every node says of it. */
@@ -94,11 +98,11 @@ function ofSession(name) {
   if (missing.length) words.push("unfinished");
   take.verdict = worstOf(words);
   if (take.nodes.every(({ session }) => session.outcome.failed)) {
-    return { kind: "bad", word: "FAILED", detail: `${name}: ${[...new Set(take.nodes.map(({ session }) => session.outcome.failed.message))].join("; ")}` };
+    return { kind: "bad", word: t("result-failed"), detail: `${name}: ${[...new Set(take.nodes.map(({ session }) => session.outcome.failed.message))].join("; ")}` };
   }
   const { word, frames, expected, causes } = sumUp(take);
-  const lines = [`${name}, begun elsewhere: ${frames} of ${count(expected, "frame")}`, ...causes, ...missing.map((node) => `node ${node}: no verdict yet`)];
-  return { kind: kindOf(word), word: word.toUpperCase(), detail: lines.join("\n") };
+  const lines = [`${t("result-elsewhere", { name })}: ${t("frames-of", { frames, n: expected })}`, ...causes, ...missing.map((node) => t("node-says", { node, said: t("result-no-verdict-yet") }))];
+  return { kind: kindOf(word), word: largeWord(word), detail: lines.join("\n") };
 }
 
 /** The verdict that stays until the next session; null before the first. */

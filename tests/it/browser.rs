@@ -50,8 +50,14 @@ impl Browser {
             .find_map(|line| Some(line.strip_prefix(told)?.trim_end_matches('.').to_owned()));
         let client = NodeClient::new(&format!("http://127.0.0.1:{}", port.expect("a port")));
         let mut browser = Self { driver, client, session: String::new(), screen: Cell::default() };
-        let arguments =
-            ["--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--window-size=1920,1200"];
+        // Whatever language this machine speaks: words are compared in English.
+        let arguments = [
+            "--headless=new",
+            "--no-sandbox",
+            "--enable-unsafe-swiftshader",
+            "--window-size=1920,1200",
+            "--accept-lang=en-US",
+        ];
         let wanted =
             json!({ "capabilities": { "alwaysMatch": { "goog:chromeOptions": { "args": arguments } } } });
         let made = browser.ask(Method::POST, "/session", Some(wanted));

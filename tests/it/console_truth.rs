@@ -76,7 +76,7 @@ fn an_edge_of_an_input_begins_a_session_and_stop_ends_the_waiting() {
         scene.browser.run("document.getElementById('start-on').value = '2:rising'");
         scene.browser.press("r");
         scene.browser.wait_word("WAITING");
-        scene.browser.wait_text("detail", "rising edge of the HSU's input 2");
+        scene.browser.wait_text("detail", "input 2 of the HSU must go on");
     };
     begin(&scene, "never");
     scene.browser.keep("awaiting-edge");
@@ -208,7 +208,7 @@ fn what_is_thought_of_a_take_is_kept(scene: &Scene) {
     browser.wait("listed", "return document.getElementById('session-rows').innerText.includes('pair-01')");
     browser.run(
         "const row = document.querySelector('[data-name=\"pair-01\"]');
-         row.querySelector('[aria-label=\"rate pair-01 doubtful\"]').click();
+         row.querySelector('[aria-label=\"rate pair-01: Unsure\"]').click();
          const note = row.querySelector('input');
          note.value = 'left arm hides the side';
          note.dispatchEvent(new Event('change'))",
