@@ -56,11 +56,11 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 fn print(status: &NodeStatus) {
     let good = status.cameras.iter().filter(|c| c.problem.is_none()).count();
     println!(
-        "node {} ({}, rig {}): {:?}, {good} of {} cameras, HSU {}, {:.1} GB free in {}",
+        "node {} ({}, rig {}): {}, {good} of {} cameras, HSU {}, {:.1} GB free in {}",
         status.node,
         one_line(&status.version),
         one_line(&status.rig),
-        status.phase,
+        if status.is_in_preview() { "Preview".to_owned() } else { format!("{:?}", status.phase) },
         status.cameras.len(),
         one_line(status.hsu.identity.as_deref().unwrap_or("not connected")),
         status.free_bytes as f64 / 1e9,

@@ -306,7 +306,7 @@ fn the_page_is_seen_whole_and_nothing_moves_under_the_hand() {
     {
         browser.resize(size, false);
         let before = (browser.place("stop"), browser.place("start"));
-        seen_whole(browser, size, figure);
+        seen_whole(browser, size, figure, 4);
         let preview =
             browser.run("return getComputedStyle(document.getElementById('state')).backgroundColor");
         browser.wait("eight live pictures", "return document.querySelectorAll('.camera.live').length === 8");
@@ -322,7 +322,7 @@ fn the_page_is_seen_whole_and_nothing_moves_under_the_hand() {
         browser
             .wait("a time line", "return Number(document.getElementById('line-canvas').dataset.samples) > 2");
         readable(browser);
-        seen_whole(browser, size, figure);
+        seen_whole(browser, size, figure, 4);
         browser.keep("recording");
         // Whatever there is to say: the hand finds Stop where it was.
         browser.run("document.getElementById('detail').textContent = 'cause\\n'.repeat(50);
@@ -333,6 +333,7 @@ fn the_page_is_seen_whole_and_nothing_moves_under_the_hand() {
         readable(browser);
         browser.keep("aborted");
     }
+    in_german(browser);
     on_a_phone(browser);
     browser.reduce_motion();
     browser.press("r");
@@ -358,12 +359,15 @@ fn many_sessions(dir: &Path) {
 }
 
 /// All tiles, the buttons, the time line and the quick look (or its tab) are on the screen without scrolling.
-fn seen_whole(browser: &Browser, (width, height): (u32, u32), figure: f64) {
+fn seen_whole(browser: &Browser, (width, height): (u32, u32), figure: f64, takes_at_1080: u64) {
     // Whatever the form asks for, the newest takes are seen whole: four of them on a screen of 1080 lines.
     let takes = "const list = document.getElementById('session-rows').getBoundingClientRect();
         return [...document.querySelectorAll('#session-rows > li')].filter((li) => li.getBoundingClientRect().bottom <= list.bottom).length";
     let takes = browser.run(takes).as_u64().unwrap_or(0);
-    assert!(takes >= if height >= 1080 { 4 } else { 1 }, "{takes} takes are seen at {width} x {height}");
+    assert!(
+        takes >= if height >= 1080 { takes_at_1080 } else { 1 },
+        "{takes} takes are seen at {width} x {height}"
+    );
     let script = "
         const inside = (element) => { const r = element.getBoundingClientRect();
             return r.width > 0 && r.height > 0 && r.left >= 0 && r.top >= 0 && r.right <= innerWidth && r.bottom <= innerHeight; };
@@ -436,6 +440,26 @@ fn abort_is_asked(browser: &Browser) {
     browser.press("a");
     browser.press("y");
     browser.wait_verdict("ABORTED");
+    browser.wait_word("READY");
+}
+
+/// Another language is as whole; its words are longer.
+fn in_german(browser: &Browser) {
+    let choose = |tag: &str| {
+        browser.run(&format!(
+            "const choice = document.getElementById('language'); choice.value = {tag:?}; choice.dispatchEvent(new Event('change'))"
+        ));
+    };
+    choose("de");
+    browser.wait_word("BEREIT");
+    for (size, figure) in [((1920, 1080), 25.0), ((1366, 768), 19.0)] {
+        browser.resize(size, false);
+        // A row of these words has a line more.
+        seen_whole(browser, size, figure, 2);
+        readable(browser);
+    }
+    browser.keep("german");
+    choose("en");
     browser.wait_word("READY");
 }
 
