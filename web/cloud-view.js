@@ -16,8 +16,8 @@ void main() {
   gl_Position = at;
   gl_PointSize = clamp(size / at.w, 1.0, 6.0);
   // Lit from the upper left of the room, as bright as the cameras saw it.
-  float light = 0.45 + 0.55 * max(0.0, dot(normalize(normal), normalize(vec3(0.5, -0.6, 0.7))));
-  colour = mix(vec3(0.35, 0.62, 0.85), vec3(0.95, 0.93, 0.9), clamp(1.6 * intensity, 0.0, 1.0)) * light;
+  float light = 0.55 + 0.45 * max(0.0, dot(normalize(normal), normalize(vec3(0.5, -0.6, 0.7))));
+  colour = mix(vec3(0.5, 0.7, 0.9), vec3(1.0, 0.97, 0.93), clamp(2.0 * sqrt(intensity), 0.0, 1.0)) * light;
   if (paint == 1) colour = 0.5 + 0.5 * normalize(normal);
   // From blue, none, over yellow to red, half a millimetre and more; grey where it is not known.
   float share = clamp(sigma / 50.0, 0.0, 1.0);
@@ -105,7 +105,7 @@ export class CloudView {
     attribute(3, 1, gl.UNSIGNED_BYTE, false, 11);
     gl.enable(gl.DEPTH_TEST);
     // A hole in the body is lighter than the body's shadows, so that nobody takes it for dark cloth.
-    gl.clearColor(0.3, 0.34, 0.38, 1);
+    gl.clearColor(0.2, 0.23, 0.27, 1);
   }
 
   draw() {
@@ -120,7 +120,7 @@ export class CloudView {
       gl.viewport(0, 0, canvas.width, canvas.height);
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
       gl.uniformMatrix4fv(this.uniforms.view, false, this.matrix(canvas.width / canvas.height));
-      gl.uniform1f(this.uniforms.size, canvas.height * 0.006);
+      gl.uniform1f(this.uniforms.size, canvas.height * 0.009);
       gl.uniform1i(this.uniforms.paint, this.painted);
       if (this.points) gl.drawArrays(gl.POINTS, 0, this.points);
       this.onDraw();

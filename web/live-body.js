@@ -1,7 +1,7 @@
 // The body of all cameras as the nodes reconstruct it while cameras run: it turns slowly, and says how old it is and what
 // of it is not seen.
 
-import { addView } from "./body-panel.js";
+import { addView, shown } from "./body-panel.js";
 import { CloudView } from "./cloud-view.js";
 import { $, text } from "./elements.js";
 import { Refused, node } from "./node-client.js";
@@ -81,7 +81,8 @@ export async function showLiveBody(isOpen) {
   for (;;) {
     let pause_ms = 0;
     try {
-      if (isOpen() && !document.hidden) await next();
+      // Nodes make no body that nobody sees: in the place of one may be a take's.
+      if (isOpen() && !document.hidden && shown() === "live") await next();
       else pause_ms = 300;
     } catch (error) {
       // Without a calibration there will be none until the node is started anew.

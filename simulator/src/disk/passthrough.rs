@@ -442,6 +442,17 @@ impl Filesystem for Passthrough {
         answer!(reply, made, |attributes| reply.entry(&NO_CACHE, &attributes, Generation(0)));
     }
 
+    // The room of a second name is not counted: programs link a whole file, and remove its first name.
+    fn link(&self, _: &Request, ino: INodeNo, newparent: INodeNo, newname: &OsStr, reply: ReplyEntry) {
+        let linked = self.0.path(ino).and_then(|from| {
+            let to = self.0.child(newparent, newname)?;
+            self.0.changeable(&to, "link")?;
+            std::fs::hard_link(self.0.root.join(from), self.0.root.join(&to))?;
+            self.0.entry(&to)
+        });
+        answer!(reply, linked, |attributes| reply.entry(&NO_CACHE, &attributes, Generation(0)));
+    }
+
     fn unlink(&self, _: &Request, parent: INodeNo, name: &OsStr, reply: ReplyEmpty) {
         answer!(reply, self.0.remove(parent, name, false), |()| reply.ok());
     }

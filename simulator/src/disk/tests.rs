@@ -67,6 +67,13 @@ fn without_faults_it_is_a_directory_like_any_other() {
     file.set_len(9000).expect("cut");
     drop(file);
     assert_eq!(errno(create(&name)), Some(libc::EEXIST));
+    // As files are written that must replace none.
+    let linked = root.join("s/node-a/linked");
+    std::fs::hard_link(&name, &linked).expect("linked");
+    assert_eq!(errno(std::fs::hard_link(&name, &linked)), Some(libc::EEXIST));
+    assert_eq!(std::fs::read(&linked).expect("readable").len(), 9000);
+    std::fs::remove_file(&linked).expect("removed");
+    assert_eq!(std::fs::metadata(&name).expect("there").len(), 9000);
     let other = create(&next).expect("another file");
     assert_eq!(errno(rename_new(&next, &name)), Some(libc::EEXIST));
     drop(other);
