@@ -151,10 +151,12 @@ def real(s):
         if not name:
             continue
         row = name[1]
-        both = [f"{most(s[f'{row}_{key}_robust'], 2)}" for key in ("left_to_right_mm", "left_to_right_reference_mm")]
-        phase = f"{most(s[f'{row}_phase_rad_robust'], 3)}"
+        # Where every photograph is refused there is nothing to compare.
+        worst = lambda key, digits: most(s[key], digits) if s.get(key) is not None else "-"
+        both = [worst(f"{row}_{key}_robust", 2) for key in ("left_to_right_mm", "left_to_right_reference_mm")]
+        phase = worst(f"{row}_phase_rad_robust", 3)
         refused = f"{s[f'{row}_photographs_refused']} of {s[f'{row}_photographs']}"
-        shares = [wrong(s[f"{row}_wrong_order_share"]), complete(s[f"{row}_complete"])]
+        shares = [wrong(s[f"{row}_wrong_order_share"]), complete(s[f"{row}_complete"])] if s[f"{row}_points"] else ["-", "-"]
         rows.append([row.replace("_", " "), refused, *shares, phase, *both])
     head = ["object", "refused", "wrong %", "of the reference %", "phase rad", "left to right mm", "the reference's mm"]
     text = table(head, rows) if rows else ""

@@ -209,12 +209,7 @@ impl Shared {
         self.changeable(&path, "create")?;
         let mut options = OpenOptions::new();
         // What is written over may have to be read, see `Unsynced`.
-        options.read(true).write(true).mode(mode);
-        if flags & libc::O_EXCL != 0 {
-            options.create_new(true)
-        } else {
-            options.create(true)
-        };
+        options.read(true).write(true).mode(mode).create(true).create_new(flags & libc::O_EXCL != 0);
         let file = options.open(self.root.join(&path))?;
         let attributes = self.entry(&path)?;
         Ok((attributes, self.opened(attributes.ino.0, file)))
@@ -318,11 +313,8 @@ impl Shared {
         let path = self.child(parent, name)?;
         self.changeable(&path, "remove")?;
         let full = self.root.join(&path);
-        if directory {
-            std::fs::remove_dir(full)?
-        } else {
-            std::fs::remove_file(full)?
-        };
+        let removed = if directory { std::fs::remove_dir(full) } else { std::fs::remove_file(full) };
+        removed?;
         let mut state = self.lock();
         if let Some(node) = state.nodes.remove(&path) {
             state.medium.cut(node, 0);
