@@ -4,6 +4,7 @@
 
 use crate::browser::Browser;
 use crate::lab::{NodeProcess, SIZE, options, small_rig, start, start_nodes};
+use crate::session_faults::signal;
 use fourdbody_simulator::laboratory::Laboratory;
 use serde_json::Value;
 use std::path::Path;
@@ -123,6 +124,7 @@ fn seconds_before_record_are_kept(scene: &Scene) {
     browser.keep("holding");
     browser
         .wait("a second is held", "return document.getElementById('clock').textContent === '1.0 of 1.0 s'");
+    assert!(!browser.text("session-rows").contains("jump"), "what is only held is no take");
     browser.wait("and can be kept", "return !document.getElementById('start').disabled");
     assert_eq!(browser.text("start-word"), "Record");
     browser.press("r");
@@ -141,6 +143,10 @@ fn two_takes_are_two_takes(scene: &Scene) {
     browser.wait_verdict("COMPLETE");
     let detail = browser.text("verdict-detail");
     assert!(detail.contains("2 of 2 takes, 640 of 640 frames") && detail.contains("walk-02"), "{detail}");
+    browser.wait(
+        "a time line to the end of the take",
+        "return document.getElementById('line-canvas').ariaLabel.includes('trigger 40 of 40')",
+    );
     let sounds: Value =
         serde_json::from_str(browser.run("return document.body.dataset.sounds").as_str().expect("text"))
             .expect("JSON");
@@ -246,6 +252,7 @@ fn nothing_old_is_shown_as_new() {
     let Some(mut scene) = Scene::open() else { return };
     let live = "return document.querySelectorAll('.camera.live').length === 8";
     scene.browser.wait("eight live pictures", live);
+    a_node_that_stands_still_is_late_before_it_is_gone(&scene);
     a_node_is_killed(&mut scene);
     scene.fill("whole", "0.5", "1", "0");
     scene.browser.press("r");
@@ -266,6 +273,16 @@ fn nothing_old_is_shown_as_new() {
     );
     assert_eq!(scene.browser.run("return document.getElementById('start').disabled"), true);
     scene.browser.keep("all-dead");
+}
+
+fn a_node_that_stands_still_is_late_before_it_is_gone(scene: &Scene) {
+    let (browser, node) = (&scene.browser, &scene.nodes[0]);
+    signal(node, libc::SIGSTOP);
+    browser.wait_word("NO NEWS");
+    assert_eq!(browser.run("return document.getElementById('state').className"), "", "grey, not red");
+    browser.wait_word("NO ANSWER");
+    signal(node, libc::SIGCONT);
+    browser.wait_word("READY");
 }
 
 fn a_node_is_killed(scene: &mut Scene) {
@@ -333,6 +350,7 @@ fn the_page_is_seen_whole_and_nothing_moves_under_the_hand() {
         readable(browser);
         browser.keep("aborted");
     }
+    ready_means_that_record_would_start(&scene);
     in_german(browser);
     on_a_phone(browser);
     browser.reduce_motion();
@@ -440,6 +458,18 @@ fn abort_is_asked(browser: &Browser) {
     browser.press("a");
     browser.press("y");
     browser.wait_verdict("ABORTED");
+    browser.wait_word("READY");
+}
+
+/// A day of takes does not fit onto the disk; what needs no disk can be done.
+fn ready_means_that_record_would_start(scene: &Scene) {
+    let browser = &scene.browser;
+    scene.fill("again", "86400", "99", "0");
+    browser.wait_word("NOT READY");
+    browser.wait_text("detail", "has room for");
+    let enabled = "return ['start', 'dry', 'look'].map((id) => !document.getElementById(id).disabled).join()";
+    assert_eq!(browser.run(enabled), "false,true,true");
+    scene.fill("again", "", "1", "0");
     browser.wait_word("READY");
 }
 

@@ -229,7 +229,7 @@ fn a_camera_that_runs_by_itself_is_refused() {
     assert!(!dir.path().join("sessions/free").exists(), "no trigger, no file");
 }
 
-fn signal(node: &NodeProcess, signal: libc::c_int) {
+pub fn signal(node: &NodeProcess, signal: libc::c_int) {
     let pid = libc::pid_t::try_from(node.pid()).expect("a process id");
     // SAFETY: the process is a child that has not been waited for: the id is its own.
     assert_eq!(unsafe { libc::kill(pid, signal) }, 0);
