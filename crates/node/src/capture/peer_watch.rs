@@ -123,6 +123,8 @@ enum Seen {
 fn judge(session_id: u64, status: Option<&NodeStatus>) -> Seen {
     let Some(status) = status else { return Seen::Silent };
     match status.session_of(session_id) {
+        // It ends its preview, and prepares then: no preview begins while a node is in a session.
+        None if status.is_in_preview() => Seen::InSession,
         None => Seen::NotInSession,
         Some(SessionStatus { outcome: Some(Outcome::Failed(fault)), .. }) => {
             Seen::Ended(fault.message.clone())
