@@ -2,7 +2,7 @@
 //! Captures that a node runs for its operators: the browser, or the tablet, may go; the capture goes on.
 //!
 //! One at a time. It runs the same steps as `fourdbody capture`, on a thread of its own, and keeps what came of it
-//! until the next begins.
+//! until the next begins. While none runs, it keeps the cameras running for pages that show pictures.
 
 use super::participant::Participant;
 use super::report::Captured;
@@ -162,7 +162,6 @@ impl Coordinator {
                 tracing::info!("the preview ended: {}", fault.message);
                 Some(Instant::now())
             }
-            None => Some(Instant::now()),
             _ => None,
         };
     }

@@ -170,6 +170,8 @@ impl Node {
                 recv(links) -> hsu => if let Ok(hsu) = hsu { self.link_back(hsu) },
                 recv(stopped) -> _ => {
                     stopping = true;
+                    // Its client hears that the node shuts down.
+                    self.waiting = None;
                     self.take(Event::Abort("the node was shut down".to_owned()));
                 }
                 default(TICK) => {}
