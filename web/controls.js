@@ -4,7 +4,7 @@ import { bodyKey } from "./body-panel.js";
 import { $, text } from "./elements.js";
 import { asked, defaultName, series } from "./form.js";
 import { node } from "./node-client.js";
-import { cannotRecord, cannotRun, sessionsUnderWay, told } from "./told.js";
+import { cannotRecord, cannotRun, devicesAnswer, sessionsUnderWay, told } from "./told.js";
 import { t } from "./words.js";
 
 let pictures = null; // whether the operator wants pictures while nothing is recorded; null: as the node file has it
@@ -29,7 +29,7 @@ const wantsPictures = () => told.role !== "view" && (pictures ?? told.status?.li
 /** Keeps the cameras running for this page, where it wants that and nothing else uses them. */
 export async function keepPictures() {
   const busy = told.capture?.running || sessionsUnderWay().length > 0;
-  if (wantsPictures() && !busy && !document.hidden && cannotRun({ partial: true }) === null) await node.preview();
+  if (wantsPictures() && !busy && !document.hidden && devicesAnswer()) await node.preview();
 }
 
 async function act(doing) {

@@ -1,5 +1,4 @@
-// The body of all cameras as the nodes reconstruct it while cameras run: it turns slowly, and says how old it is and what
-// of it is not seen.
+// The body of all cameras as the nodes reconstruct it while cameras run, with how old it is and what of it is not seen.
 
 import { addView, shown } from "./body-panel.js";
 import { CloudView } from "./cloud-view.js";
@@ -11,21 +10,14 @@ import { number, t } from "./words.js";
 /** A body that is older is shown in grey, and after some seconds more not at all. */
 const OLD_MS = 1000;
 const GONE_MS = 5000;
-/** Time between two pictures while it turns: a node's own processor may have to draw them. */
-const TICK_MS = 80;
-/** One turn in half a minute. */
-const TURN = (2 * Math.PI) / 30;
 /** A camera of which less becomes points is named. */
 const POOR = 0.7;
 
 const section = $("live-body");
 const canvas = $("live-canvas");
 const view = new CloudView(canvas);
-const still = matchMedia("(prefers-reduced-motion: reduce)");
 let last = null;
-let turns = true;
-for (const event of ["pointerdown", "keydown", "wheel"]) canvas.addEventListener(event, () => (turns = false));
-addView("live", view, (on) => (turns = on));
+addView("live", view);
 
 const shares = (cameras) => cameras.map(({ camera, lit, points, refused }) => ({ camera, share: lit ? points / lit : 0, lit, refused }));
 
@@ -43,6 +35,7 @@ function said({ facts }, age_ms) {
 function show() {
   const age_ms = last ? last.facts.age_ms + performance.now() - last.at : Infinity;
   const gone = age_ms > GONE_MS;
+  if (gone && view.points) view.show([]);
   section.classList.toggle("none", gone);
   section.classList.toggle("old", age_ms > OLD_MS);
   text($("live-detail"), gone ? (told.noBody ? t("live-none", { why: told.noBody }) : t("live-none-still")) : said(last, age_ms));
@@ -69,15 +62,6 @@ async function next() {
 /** Shows the body for as long as the page is open and logged in. */
 export async function showLiveBody(isOpen) {
   setInterval(show, 250);
-  let before = performance.now();
-  const turn = (now) => {
-    requestAnimationFrame(turn);
-    if (now - before < TICK_MS) return;
-    const passed = Math.min(now - before, 200) / 1000;
-    before = now;
-    if (!section.classList.contains("none") && !still.matches && turns) view.turn(TURN * passed, 0);
-  };
-  requestAnimationFrame(turn);
   for (;;) {
     let pause_ms = 0;
     try {

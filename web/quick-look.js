@@ -1,6 +1,6 @@
 // Quick looks at what was recorded: frame sets as clouds that turn under the mouse.
 
-import { addView, showBody, shown } from "./body-panel.js";
+import { addView, showBody } from "./body-panel.js";
 import { CloudView } from "./cloud-view.js";
 import { $, make, text } from "./elements.js";
 import { node } from "./node-client.js";
@@ -8,17 +8,9 @@ import { nodes } from "./told.js";
 import { onLanguage, t, wordOf } from "./words.js";
 
 const view = new CloudView($("cloud-canvas"));
-/** As for the live body. */
-const TICK_MS = 80;
-/** One turn in half a minute. */
-const TURN_A_TICK = (2 * Math.PI * TICK_MS) / 30000;
 const look = { session: null, trigger: null, wanted: null };
 
-let turns = true;
-addView("take", view, (on) => (turns = on));
-for (const event of ["pointerdown", "keydown", "wheel"]) $("cloud-canvas").addEventListener(event, () => (turns = false));
-const still = matchMedia("(prefers-reduced-motion: reduce)");
-setInterval(() => turns && !still.matches && shown() === "take" && view.points && view.turn(TURN_A_TICK, 0), TICK_MS);
+addView("take", view);
 
 /** Asks all nodes for a look at a take, which stands in the place of the live body until somebody is done with it. */
 export async function openLook(session) {
@@ -27,7 +19,6 @@ export async function openLook(session) {
   text($("cloud-detail"), t("cloud-asked"));
   view.show([]);
   $("cloud-canvas").dataset.points = "0";
-  turns = true;
   showBody("take");
   for (const { peer, status } of nodes()) if (status) await node.askLook(peer, session).catch((error) => text($("cloud-detail"), error.message));
   await refreshLook();

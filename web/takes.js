@@ -2,6 +2,7 @@
 
 import { showBody } from "./body-panel.js";
 import { lamp, lightOf, refreshLights, showLight } from "./calibration-light.js";
+import { say } from "./controls.js";
 import { $, make, text } from "./elements.js";
 import { Refused, node } from "./node-client.js";
 import { playButton, playableOf, refreshPlayable } from "./playable.js";
@@ -115,34 +116,37 @@ function remarkOf(take) {
     Object.assign(remark, change);
     mark();
     const said = { ...remark };
-    kept = kept.then(() => tell(said));
-  }
-  async function tell(said) {
-    const told = await Promise.allSettled(nodes().map(({ peer }) => node.remark(peer, take.name, said)));
-    const failed = told.flatMap(({ reason }) => reason ?? []);
-    // A node that has no part of the take has nothing to keep.
-    const wrong = failed.filter((error) => !(error instanceof Refused && error.status === 404) || failed.length === told.length);
-    text(problem, wrong.map((error) => t("take-not-kept", { why: error.message })).join("; "));
+    kept = kept.then(async () => text(problem, await remarkOn(take.name, said)));
   }
   mark();
   return make("div", { className: "remarks" }, make("div", { className: "remark", role: "group" }, ...buttons, note, look, ...playButton(take)), problem);
 }
 
-/** Rates a take on all nodes, as its buttons in the list do. */
-async function rate(name, rating) {
-  const remark = [...known.lists.values()].flat().find((entry) => entry.name === name)?.remark ?? {};
-  await Promise.allSettled(nodes().map(({ peer }) => node.remark(peer, name, { rating, note: remark.note ?? null })));
+/** Keeps rating and note of a take on all nodes that have recorded it; what was not kept, in sentences. */
+async function remarkOn(name, remark) {
+  const told = await Promise.allSettled(nodes().map(({ peer }) => node.remark(peer, name, remark)));
+  const failed = told.flatMap(({ reason }) => reason ?? []);
+  // A node that has no part of the take has nothing to keep.
+  const wrong = failed.filter((error) => !(error instanceof Refused && error.status === 404) || failed.length === told.length);
+  return wrong.map((error) => t("take-not-kept", { why: error.message })).join("; ");
+}
+
+/** Rates the take that is shown, and shows the live body. Its note stays: the list may not have the take now. */
+async function rate(rating) {
+  const name = lookedAt();
+  showBody("live");
+  const lists = await Promise.allSettled(nodes().map(({ peer }) => node.sessions(peer, LISTED, name)));
+  const entries = lists.flatMap(({ value }) => value ?? []).filter((entry) => entry.name === name);
+  const { note } = entries.map(({ remark }) => remark).find(Boolean) ?? {};
+  const problem = await remarkOn(name, { rating, note: note ?? null });
+  if (problem) say(problem);
   await refreshTakes();
 }
 
 // After a take: it is good, or it is made again as it was asked for.
-$("keep").addEventListener("click", () => {
-  rate(lookedAt(), "good").catch(() => {});
-  showBody("live");
-});
+$("keep").addEventListener("click", () => rate("good").catch(() => {}));
 $("repeat").addEventListener("click", () => {
-  rate(lookedAt(), "bad").catch(() => {});
-  showBody("live");
+  rate("bad").catch(() => {});
   if (!$("start").disabled) $("start").click();
 });
 

@@ -123,5 +123,9 @@ export function cannotRun(asked) {
   return null;
 }
 
+/** Whether all devices of all nodes answer. One that is only silent under triggers does: its pictures are waited for. */
+export const devicesAnswer = () =>
+  nodes().every(({ status }) => status && !status.hsu.problem && status.cameras.every((camera) => !camera.problem));
+
 /** Why nothing can be recorded now; null when Record would start. */
 export const cannotRecord = (asked) => cannotRun(asked) ?? fullDisk(asked);
