@@ -12,18 +12,17 @@ read back. `browser_mib`: the most that all processes of the browser had at once
 
 import json
 import random
-import subprocess
 import sys
 import threading
 import time
-import urllib.request
 from pathlib import Path
+
+from chromium import Chromium
 
 URL, FRAME_SETS = sys.argv[1], int(sys.argv[2])
 SEEKS = int(sys.argv[3]) if len(sys.argv) > 3 else 50
 PATIENCE_S = 1800
-TOLD = "ChromeDriver was started successfully on port "
-ARGUMENTS = ["--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--window-size=1366,900"]
+ARGUMENTS = ["--window-size=1366,900"]
 SEEK = """
 const [place, done] = arguments;
 const root = document.getElementById("player");
@@ -40,13 +39,6 @@ const look = () => {
 };
 look();
 """
-
-
-def ask(base, method, path, body=None):
-    data = None if body is None else json.dumps(body).encode()
-    request = urllib.request.Request(base + path, data, {"content-type": "application/json"}, method=method)
-    with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
-        return json.load(answer)["value"]
 
 
 def processes(ancestor):
@@ -97,16 +89,9 @@ def spread(name, times):
 
 def main():
     chance = random.Random(7)
-    driver = subprocess.Popen(["chromedriver", "--port=0"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    try:
-        port = next(line.strip()[len(TOLD):].rstrip(".") for line in driver.stdout if line.startswith(TOLD))
-        base = f"http://127.0.0.1:{port}"
-        options = {"goog:chromeOptions": {"args": ARGUMENTS}, "pageLoadStrategy": "none"}
-        base += "/session/" + ask(base, "POST", "/session", {"capabilities": {"alwaysMatch": options}})["sessionId"]
-        ask(base, "POST", "/timeouts", {"script": PATIENCE_S * 1000})
-
-        def run(script):
-            return ask(base, "POST", "/execute/sync", {"script": script, "args": []})
+    with Chromium(ARGUMENTS, PATIENCE_S, pageLoadStrategy="none") as browser:
+        run, driver = browser.run, browser.driver
+        browser.ask("POST", "/timeouts", {"script": PATIENCE_S * 1000})
 
         def wait(script):
             begin = time.monotonic()
@@ -118,13 +103,13 @@ def main():
 
         def seek():
             place = chance.randrange(FRAME_SETS)
-            return ask(base, "POST", "/execute/async", {"script": SEEK, "args": [place]})
+            return browser.ask("POST", "/execute/async", {"script": SEEK, "args": [place]})
 
         time.sleep(1)
         told = {"idle_mib": round(memory(driver)[0])}
         most = Most(driver)
         most.start()
-        ask(base, "POST", "/url", {"url": URL})
+        browser.open(URL)
         wait("document.getElementById('player')?.dataset.firstMs")
         told["first_picture_ms"] = float(run("return document.getElementById('player').dataset.firstMs"))
         # The frame sets of the report's page are its own; those of the console's are asked for.
@@ -145,9 +130,6 @@ def main():
         most.ended = True
         most.join()
         told |= {"browser_mib": round(most.most[0]), "renderer_mib": round(most.most[1])}
-        ask(base, "DELETE", "")
-    finally:
-        driver.kill()
     print(json.dumps(told))
 
 

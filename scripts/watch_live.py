@@ -10,15 +10,14 @@ chromium-driver; standard library only.
 """
 
 import json
-import subprocess
 import sys
 import time
-import urllib.request
+
+from chromium import Chromium
 
 PORT, SECONDS = int(sys.argv[1]), float(sys.argv[2])
-TOLD = "ChromeDriver was started successfully on port "
 # Without motion the page draws when a frame set comes, and not sixty times a second.
-ARGUMENTS = ["--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--window-size=1366,900", "--force-prefers-reduced-motion"]
+ARGUMENTS = ["--window-size=1366,900", "--force-prefers-reduced-motion"]
 WATCH = """
 window.drawn = [];
 const canvas = document.getElementById("live-canvas");
@@ -27,27 +26,12 @@ new MutationObserver(() => window.drawn.push([performance.now(), Number(canvas.d
 """
 
 
-def ask(base, method, path, body=None):
-    data = None if body is None else json.dumps(body).encode()
-    request = urllib.request.Request(base + path, data, {"content-type": "application/json"}, method=method)
-    with urllib.request.urlopen(request, timeout=60) as answer:
-        return json.load(answer)["value"]
-
-
 def main():
-    driver = subprocess.Popen(["chromedriver", "--port=0"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    try:
-        port = next(line.strip()[len(TOLD):].rstrip(".") for line in driver.stdout if line.startswith(TOLD))
-        base = f"http://127.0.0.1:{port}"
-        wanted = {"capabilities": {"alwaysMatch": {"goog:chromeOptions": {"args": ARGUMENTS}}}}
-        base += "/session/" + ask(base, "POST", "/session", wanted)["sessionId"]
-        ask(base, "POST", "/url", {"url": f"http://127.0.0.1:{PORT}/"})
-        ask(base, "POST", "/execute/sync", {"script": WATCH, "args": []})
+    with Chromium(ARGUMENTS) as browser:
+        browser.open(f"http://127.0.0.1:{PORT}/")
+        browser.run(WATCH)
         time.sleep(SECONDS)
-        drawn = ask(base, "POST", "/execute/sync", {"script": "return window.drawn", "args": []})
-        ask(base, "DELETE", "")
-    finally:
-        driver.kill()
+        drawn = browser.run("return window.drawn")
     # The first ones come while tables are made and the shader is compiled.
     drawn = drawn[3:]
     ages = sorted(age for _, age, _, _ in drawn)
