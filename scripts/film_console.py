@@ -27,7 +27,7 @@ def main():
         browser.ask("POST", "/goog/cdp/execute", {"cmd": "Emulation.setDeviceMetricsOverride", "params": VIEW})
         browser.open(URL)
         begin = time.monotonic()
-        while browser.run("return document.getElementById('live-body').className") != "" and time.monotonic() - begin < 60:
+        while browser.run("return document.getElementById('live-body').classList.contains('none')") and time.monotonic() - begin < 60:
             time.sleep(0.2)
         print(f"a body turns {time.monotonic() - begin:.1f} s after the page was opened")
         begin = time.monotonic()
