@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The pipeline on a sphere and a wall that are rendered here by direct formula, through the shipped rig.
 
+use crate::frame_set::{self, Photograph};
 use fourdbody::base::image::{Mono8, Plane};
 use fourdbody::config::Rig;
 use fourdbody::data::{Calibration, PanelRows};
@@ -211,4 +212,37 @@ fn an_empty_frame_and_one_of_another_size_are_refused() {
     let small = Plane::filled(64, 48, 100u8);
     let Outcome::Refused(reason) = reconstruct(pair(None), &small).outcome else { panic!("must be refused") };
     assert!(reason.contains("1920"), "{reason}");
+}
+
+/// Two cameras of a head before a plate that faces it, no other head and no marker in view. An error of one fringe in one
+/// of them looks right to the other where both lie alike about the projector. Where the lower one lies three fifths as
+/// far, it is off there by a third of a period or more: each is a witness for the other.
+#[test]
+fn a_camera_is_a_witness_for_its_mate_where_it_could_contradict() {
+    let plate = |ray: &Ray| {
+        let at = ray.at(-ray.origin.x / ray.direction.x);
+        (at.y.abs() < 0.15 && (1.3..1.6).contains(&at.z)).then(|| (at, Vector3::x()))
+    };
+    let clouds = |lower_m: f64| {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
+        let text = std::fs::read_to_string(path).expect("the shipped rig");
+        let lower = format!("position_m = [2.4, 0.0, {lower_m}]");
+        let text = text.replacen("position_m = [2.4, 0.0, 0.25]", &lower, 1);
+        let calibration =
+            Calibration::nominal(&Rig::from_table(&text.parse().expect("TOML")).expect("a rig"));
+        let head = &calibration.heads[0];
+        let photographs = [0, 1].map(|camera| {
+            let pair =
+                CameraProjector::new(head, &head.cameras[camera], &calibration).expect("a usable pair");
+            Photograph { head: 0, image: photograph(&pair, plate), pair }
+        });
+        frame_set::clouds(&photographs).into_iter().map(|found| found.cloud.position_m)
+    };
+    for points in clouds(0.25) {
+        assert!(points.is_empty(), "nobody could contradict {} points", points.len());
+    }
+    for points in clouds(0.556) {
+        let wrong = points.iter().filter(|p| p[0].abs() > 0.005).count();
+        assert!(points.len() > 30_000 && wrong * 1000 < points.len(), "{wrong} of {} wrong", points.len());
+    }
 }

@@ -1,16 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which surfaces somebody bears out who could contradict: a camera of another head, or the marker.
+//! Which surfaces somebody bears out who could contradict: a camera of another head, the marker, or the other camera of the
+//! head where it contradicts every other label.
 //!
-//! The cameras of a head lie alike about their projector. An error of one fringe in one of them looks right to the other,
-//! whose phase is a whole period off there, so that they cannot witness for each other. A surface is all nodes that
-//! continue each other with equal labels: a few places of it are enough. It bears out what continues it beyond a gap,
+//! Where the cameras of a head lie alike about their projector, an error of one fringe in one of them looks right to the
+//! other, whose phase is a whole period off there: it agrees with several labels, and is no witness. A surface is all nodes
+//! that continue each other with equal labels: a few places of it are enough. It bears out what continues it beyond a gap,
 //! such as the next stripe of a shirt: one fringe off that would not continue it.
 
-use super::drift::Differences;
+use super::drift::{Differences, TERMS};
 use super::evidence::{CameraWeights, NO_ORDER, OrderTable, ln, odds, wrapped};
 use super::inference::Field;
 use super::observation::{Observations, Observed, PLACES};
 use super::projection::{LANES, Ray};
+use super::same_head::Mate;
 use super::scene::Scene;
 use std::f32::consts::{PI, TAU};
 
@@ -51,7 +53,8 @@ pub fn require(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &OrderTable, 
     members.sort_unstable_by_key(|&(surface, node)| {
         (surface, std::cmp::Reverse(field.squares.all[node as usize].side), node)
     });
-    let mut looks = Looks::new(field, scenes, known);
+    let weights = weights(field.number, scenes, known);
+    let mut looks = Looks::new(field, scenes, known, &weights);
     let mut borne_out = vec![false; nodes];
     let mut open = Vec::new();
     for surface in members.chunk_by(|a, b| a.0 == b.0) {
@@ -129,31 +132,42 @@ impl Surfaces {
     }
 }
 
-/// What the cameras of other heads observe where nodes lie by their labels.
+/// The weights of all cameras for a view, in blocks.
+fn weights(view: usize, scenes: &[Scene<'_>], known: &OrderTable) -> Vec<CameraWeights> {
+    let differences = known.differences[view].iter().enumerate();
+    differences.map(|(block, x)| CameraWeights::new(scenes, view, block * LANES, x, 1.0)).collect()
+}
+
+/// What other cameras observe where nodes lie by their labels.
 struct Looks<'a> {
     looks: Observations<'a>,
     known: &'a OrderTable,
-    weights: Vec<CameraWeights>,
+    weights: &'a [CameraWeights],
     /// A bit for each camera of a block that belongs to another head.
     others: Vec<[bool; LANES]>,
-    /// There is no other head.
+    /// The other camera of the head.
+    mate: Option<Mate<'a>>,
+    /// There is no other camera.
     is_vain: bool,
 }
 
 impl<'a> Looks<'a> {
-    fn new(field: &Field<'_>, scenes: &'a [Scene<'a>], known: &'a OrderTable) -> Self {
+    fn new(
+        field: &Field<'_>,
+        scenes: &'a [Scene<'a>],
+        known: &'a OrderTable,
+        weights: &'a [CameraWeights],
+    ) -> Self {
         let view = field.number;
         let other = |i: usize| scenes.get(i).is_some_and(|scene| scene.head != scenes[view].head);
         let blocks = scenes.len().div_ceil(LANES);
-        let differences = known.differences[view].iter().enumerate();
         Self {
             looks: Observations::new(scenes),
             known,
-            weights: differences
-                .map(|(block, x)| CameraWeights::new(scenes, view, block * LANES, x, 1.0))
-                .collect(),
+            weights,
             others: (0..blocks).map(|block| std::array::from_fn(|i| other(block * LANES + i))).collect(),
-            is_vain: !(0..scenes.len()).any(other),
+            mate: Mate::new(scenes, view, weights, known),
+            is_vain: scenes.len() < 2,
         }
     }
 
@@ -161,13 +175,14 @@ impl<'a> Looks<'a> {
     fn at(&mut self, field: &Field<'_>, nodes: impl Iterator<Item = usize>) -> f32 {
         let mut rays = [Ray { direction: [0.0; 3], inverse_depth: 0.0 }; PLACES];
         let (mut sights, mut terms, mut count) = ([Observed::NONE; PLACES], [[0.0; 3]; PLACES], 0);
+        let mut sum = 0.0;
         for node in nodes {
             let i = field.squares.all[node].patch as usize;
             rays[count] = field.place(i);
             terms[count] = Differences::terms_of(field.scene.pixel(&field.scene.patches.all[i]));
+            sum += self.mate.as_mut().map_or(0.0, |mate| alone(mate, field, i, &terms[count]));
             count += 1;
         }
-        let mut sum = 0.0;
         for (block, (weights, others)) in self.weights.iter().zip(&self.others).enumerate() {
             let nothing = self.looks.at(field.number, block, &rays[..count], &mut sights);
             let differences = &self.known.differences[field.number][block];
@@ -188,4 +203,27 @@ impl<'a> Looks<'a> {
         }
         sum
     }
+}
+
+/// What the other camera of the head says for the label of a patch: nothing where it does not contradict all others.
+fn alone(mate: &mut Mate<'_>, field: &Field<'_>, i: usize, terms: &[f32; TERMS]) -> f32 {
+    let (patch, table) = (&field.scene.patches.all[i], field.scene.projection.table);
+    let (u, v) = field.scene.pixel(patch);
+    let line = table.sightline(u, v);
+    let (count, first) = (field.count[i] as usize, patch.phase / TAU - field.base[i] as f32);
+    let label = (field.turns(i) + field.base[i]) as usize;
+    let mut inverse = Vec::with_capacity(count.next_multiple_of(PLACES));
+    for block in (0..count).step_by(PLACES) {
+        inverse.extend(table.inverse_depths::<PLACES>(&line, first + block as f32));
+    }
+    mate.judge::<false>(line.direction, first, &inverse, terms);
+    let says = -mate.costs[label] - CHANCE;
+    // Its own orders were found with these labels: they are no reason against the others. It agrees nowhere where it sees
+    // no surface, but a dark part of one looks so, too: of the neighbouring labels it has to see what it contradicts.
+    mate.judge::<true>(line.direction, first, &inverse, terms);
+    let contradicts = |l: usize| {
+        let sees_surface = mate.costs[l] < 0.0;
+        l == label || (-mate.costs[l] <= CHANCE && (sees_surface || l.abs_diff(label) > 1))
+    };
+    if (0..count).all(contradicts) { says.max(0.0) } else { 0.0 }
 }
