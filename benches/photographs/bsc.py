@@ -9,8 +9,8 @@ Each photograph goes through `fourdbody reconstruct` alone. The reference is mad
 method (binomial self-compensation, order five): six phases of four photographs each, averaged with binomial weights, which
 takes away what an even motion does to phase shifting. Its fringe orders are those at which both cameras see the same phase.
 
-The two cameras disagree by the authors' matrices. `fourdbody calibration check` finds how the devices are turned, from
-photographs of the hand that are not scored; everything is told with the matrices as they are, and turned back.
+The two cameras disagree by the authors' matrices. `fourdbody calibration check` finds how the devices have moved, from
+photographs of the hand that are not scored; all figures are given with the matrices as they are, and moved back.
 
 Their fringes are 35 to 60 px long, ours are made for 5 to 24: columns are averaged in fours, in what both methods see."""
 
@@ -60,11 +60,13 @@ class Device:
         self.lens /= self.lens[2, 2]
         self.centre = np.linalg.solve(self.matrix[:, :3], -self.matrix[:, 3])
 
-    def turned(self, rotation):
-        """Turned about its centre: `rotation` in the device's frame."""
+    def moved(self, before, after):
+        """As a calibration has moved it: its poses in the calibrations before and after, as `json` writes them."""
         result = copy.copy(self)
-        result.rotation = rotation @ self.rotation
-        result.matrix = self.lens @ np.column_stack([result.rotation, -result.rotation @ self.centre])
+        rotation = [np.array(pose["rotation"]) for pose in (before, after)]
+        result.rotation = rotation[1].T @ rotation[0] @ self.rotation
+        result.centre = self.centre + 1e3 * (np.array(after["translation_m"]) - np.array(before["translation_m"]))
+        result.matrix = self.lens @ np.column_stack([result.rotation, -result.rotation @ result.centre])
         return result
 
     def json(self, width, height, shift_px=0.0):
@@ -213,8 +215,8 @@ def write_pair(folder, images, middles, devices, shift):
     return folder / "images", folder / "calibration.json"
 
 
-def turned_back(devices, images, program, work, step):
-    """The devices as `fourdbody calibration check` finds them from photographs that are not scored, and what it says."""
+def moved_back(devices, images, program, work, step):
+    """The devices where `fourdbody calibration check` finds them, from photographs that are not scored, and its answer."""
     shutil.rmtree(work, ignore_errors=True)
     others = [k for k in range(0, len(images["left"]), SHIFTS) if k not in scored(images, step)]
     pair, before = write_pair(work, images, others, devices, 0)
@@ -223,13 +225,15 @@ def turned_back(devices, images, program, work, step):
                              "--frame-sets", str(len(others)), "--json"],
                             capture_output=True, text=True)
     if not after.exists():
-        print(f"fourdbody does not tell how the devices have turned: {answer.stderr.strip()}")
+        print(f"fourdbody does not find how the devices have moved: {answer.stderr.strip()}")
         return None, None
     heads = [json.loads(path.read_text())["heads"][0] for path in (before, after)]
-    pose = lambda device: np.array(device["world_from_device"]["rotation"])
-    result = {"projector": devices["projector"].turned(pose(heads[1]["projector"]).T @ pose(heads[0]["projector"]))}
-    for old, new in zip(heads[0]["cameras"], heads[1]["cameras"]):
-        result[old["id"]] = devices[old["id"]].turned(pose(new["device"]).T @ pose(old["device"]))
+    poses = lambda head: {"projector": head["projector"]} | {camera["id"]: camera["device"] for camera in head["cameras"]}
+    before, after = (poses(head) for head in heads)
+    result = {
+        name: device.moved(before[name]["world_from_device"], after[name]["world_from_device"])
+        for name, device in devices.items()
+    }
     return result, json.loads(answer.stdout)
 
 
@@ -305,9 +309,9 @@ def main():
     images = {name: {camera: photographs(args.data / "Data" / name / folder) for camera, (folder, _) in CAMERAS.items()}
               for name in ("Statue", "Hand")}
     report = {}
-    turned, check = turned_back(devices, images["Hand"], args.fourdbody, args.work / "check", args.step)
+    moved, check = moved_back(devices, images["Hand"], args.fourdbody, args.work / "check", args.step)
     print("calibration check, photographs of the hand:", json.dumps(check))
-    for ending, those in (("", devices), ("_turned_back", turned)):
+    for ending, those in (("", devices), ("_moved_back", moved)):
         for name, photos in images.items():
             if those:
                 key = name.lower() + ending
