@@ -4,7 +4,7 @@ import { addView, shown } from "./body-panel.js";
 import { CloudView } from "./cloud-view.js";
 import { $, text } from "./elements.js";
 import { Refused, node } from "./node-client.js";
-import { nodes, told } from "./told.js";
+import { camerasRun, nodes, told } from "./told.js";
 import { number, t } from "./words.js";
 
 /** A body that is older is shown in grey, and after some seconds more not at all. */
@@ -17,6 +17,8 @@ const section = $("live-body");
 const canvas = $("live-canvas");
 const view = new CloudView(canvas);
 let last = null;
+/** Since when the cameras run, by the page's clock. */
+let running = null;
 addView("live", view);
 
 const shares = (cameras) => cameras.map(({ camera, lit, points, refused }) => ({ camera, share: lit ? points / lit : 0, lit, refused }));
@@ -32,13 +34,21 @@ function said({ facts }, age_ms) {
   return [t("live-facts", { seen: facts.cameras.length, n: all, rate: number(facts.frame_sets_per_s, 1), age }), ...of].join(" · ");
 }
 
+/** Why there is no body. */
+function whyNone() {
+  if (told.noBody) return t("live-none", { why: told.noBody });
+  if (!running) return t("live-none-still");
+  return performance.now() - running > GONE_MS ? t("live-none-busy") : t("live-none-yet");
+}
+
 function show() {
+  running = camerasRun() ? (running ?? performance.now()) : null;
   const age_ms = last ? last.facts.age_ms + performance.now() - last.at : Infinity;
   const gone = age_ms > GONE_MS;
   if (gone && view.points) view.show([]);
   section.classList.toggle("none", gone);
   section.classList.toggle("old", age_ms > OLD_MS);
-  text($("live-detail"), gone ? (told.noBody ? t("live-none", { why: told.noBody }) : t("live-none-still")) : said(last, age_ms));
+  text($("live-detail"), gone ? whyNone() : said(last, age_ms));
 }
 
 /** Waits for the next frame set and shows it; throws where there will be none. */

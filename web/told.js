@@ -43,6 +43,13 @@ export const sessionsUnderWay = () =>
 /** Whether a node runs its cameras only for those who look at the pictures. */
 export const isInPreview = (status) => status.phase !== "idle" && status.preview != null && !status.preview.outcome;
 
+/** Whether triggers are fired, for a session or for those who look at the pictures. */
+export const camerasRun = () =>
+  nodes().some(({ status }) => {
+    const of = status && (isInPreview(status) ? status.preview : status.session);
+    return of && !of.outcome && of.triggers > 0;
+  });
+
 /** How a node's session goes for a camera, while one is under way. */
 const progressOf = (status, id) =>
   status?.session && !status.session.outcome ? status.session.cameras.find((camera) => camera.id === id) : null;

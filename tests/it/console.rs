@@ -12,8 +12,10 @@ use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
 use fourdbody_simulator::images::ImageSource;
 use fourdbody_simulator::laboratory::{Laboratory, LaboratoryOptions};
 use nalgebra::Point3;
+use serde_json::Value;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// A camera that sends one photograph again and again.
 pub struct Still(pub Plane<u8>);
@@ -85,8 +87,8 @@ fn an_operator_sees_what_happens() {
     browser.open(&format!("http://127.0.0.1:{}/", laboratory.nodes[0].port));
     browser.resize((1920, 1080), false);
     log_in(&browser, dir.path());
-    watch_previews(&browser);
-    a_camera_is_unplugged(&browser, &mut laboratory);
+    let has_body = watch_previews(&browser);
+    a_camera_is_unplugged(&browser, &mut laboratory, has_body);
     laboratory.plug(3).expect("the camera starts");
     browser.wait("no camera in trouble", "return document.querySelectorAll('.camera.bad').length === 0");
     nodes.iter_mut().for_each(|node| drop(node.wait_idle()));
@@ -139,8 +141,9 @@ fn log_out_and_in(browser: &Browser, dir: &Path) {
     enter_token(browser, dir);
 }
 
-/// Eight pictures, upright, that change without a press; a key stops them, and starts them again.
-fn watch_previews(browser: &Browser) {
+/// Eight pictures, upright, that change without a press; a key stops them, and starts them again. Whether there is a live
+/// body, too.
+fn watch_previews(browser: &Browser) -> bool {
     let all = "return document.querySelectorAll('.camera').length === 8 && [...document.querySelectorAll('.camera img')]
         .every((picture) => picture.naturalWidth === 300 && picture.naturalHeight === 480)";
     browser.wait("eight pictures", all);
@@ -155,11 +158,7 @@ fn watch_previews(browser: &Browser) {
     );
     browser.keep("camera");
     browser.press("\u{E00C}");
-    let body = "const canvas = document.getElementById('live-canvas');
-        return document.getElementById('live-body').className === '' && canvas.dataset.cameras === '8' && Number(canvas.dataset.points) > 5000";
-    browser.wait("a live body of the cameras of both nodes", body);
-    browser.wait_text("live-detail", "8 of 8 cameras");
-    wait_for_new_body(browser);
+    let has_body = a_live_body_is_shown(browser);
     assert!(
         browser.text("word").starts_with("READY") && browser.text("detail").contains("nothing is recorded")
     );
@@ -170,6 +169,29 @@ fn watch_previews(browser: &Browser) {
     assert_eq!(browser.run("return document.getElementById('look').ariaPressed"), "false");
     browser.press("p");
     browser.wait("pictures again", "return document.querySelectorAll('.camera.live').length === 8");
+    has_body
+}
+
+/// Of all cameras. Bodies are made at the lowest priority: where other programs leave too little for that, the page has to
+/// name it. Whether there is a body.
+fn a_live_body_is_shown(browser: &Browser) -> bool {
+    let body = "const canvas = document.getElementById('live-canvas');
+        return document.getElementById('live-body').className === '' && canvas.dataset.cameras === '8' && Number(canvas.dataset.points) > 5000";
+    let begin = Instant::now();
+    while browser.run(body) != true {
+        let said = browser.text("live-detail");
+        if begin.elapsed() > Duration::from_secs(60)
+            && ["has no time for it", "4 of 8 cameras"].iter().any(|named| said.contains(named))
+        {
+            println!("this host is too busy for a live body of both nodes: {said}");
+            return false;
+        }
+        assert!(begin.elapsed() < Duration::from_secs(120), "no live body, and no reason: {said}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    browser.wait_text("live-detail", "8 of 8 cameras");
+    wait_for_new_body(browser);
+    true
 }
 
 fn wait_for_new_body(browser: &Browser) {
@@ -178,14 +200,16 @@ fn wait_for_new_body(browser: &Browser) {
     browser.wait("a live body that goes on", &moved);
 }
 
-fn a_camera_is_unplugged(browser: &Browser, laboratory: &mut Laboratory) {
+fn a_camera_is_unplugged(browser: &Browser, laboratory: &mut Laboratory, has_body: bool) {
     browser.type_in("name", "broken");
     browser.type_in("seconds", "");
     browser.press("r");
     browser.wait_word("RECORDING");
     browser.wait("triggers", "return parseFloat(document.getElementById('clock').textContent) > 0.5");
     // Triggers are counted anew in each session, and the page stays open.
-    wait_for_new_body(browser);
+    if has_body {
+        wait_for_new_body(browser);
+    }
     browser.keep("recording");
     laboratory.unplug(3);
     let took = browser.wait(
@@ -209,20 +233,30 @@ fn a_complete_session_is_looked_at(browser: &Browser) {
     browser.wait_verdict("COMPLETE");
     let shown = "return Number(document.getElementById('cloud-canvas').dataset.points ?? 0) > 10000";
     browser.wait("a cloud", shown);
-    let picture = "return document.getElementById('cloud-canvas').toDataURL()";
-    let settled = "await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));";
-    let drawn = || browser.run(&format!("return (async () => {{ {settled} {picture} }})()"));
+    let drawn = || browser.run("return document.getElementById('cloud-canvas').toDataURL()");
+    // A busy page draws some time after it has the key.
+    let turned = |before: &Value, by: &str| {
+        let begin = Instant::now();
+        loop {
+            let now = drawn();
+            if now != *before {
+                return now;
+            }
+            let shown = browser.run(
+                "return [document.getElementById('body').dataset.shows, document.activeElement.outerHTML]",
+            );
+            assert!(begin.elapsed() < Duration::from_secs(30), "{by} does not turn it: {shown}");
+        }
+    };
     let before = drawn();
     browser.drag("cloud-canvas", (120, 30));
-    let turned = drawn();
-    assert_ne!(before, turned, "the mouse turns it");
+    turned(&before, "the mouse");
+    // All that the mouse did is drawn.
+    let before = std::iter::successors(Some(drawn()), |last| Some(drawn()).filter(|now| now != last)).last();
     browser.press("\u{E012}");
-    let turned_more = drawn();
-    let shown = browser
-        .run("return [document.getElementById('body').dataset.shows, document.activeElement.outerHTML]");
-    assert_ne!(turned, turned_more, "the arrow keys turn it without a click first: {shown}");
+    let before = turned(&before.expect("a picture"), "an arrow key without a click first");
     browser.press("4");
-    assert_ne!(turned_more, drawn(), "from above");
+    turned(&before, "the key of the view from above");
     browser.press("1");
     browser.keep("complete");
     // Keep changes no note, also where the list does not have the take now.
