@@ -84,13 +84,13 @@ deny:
 bench-ingest: packages
 	@scripts/install-packages.sh aravis-tools fio ethtool
 	$(CARGO) build --release --workspace
-	$(CARGO) build --release --example ingest_buffered
+	$(CARGO) build --release --workspace --example ingest_buffered
 	scripts/bench-ingest.sh
 
 bench-reconstruct: packages
 	@scripts/install-packages.sh python3-venv
 	$(CARGO) build --release --workspace
-	$(CARGO) build --release --example wrapped_phase
+	$(CARGO) build --release --workspace --example wrapped_phase
 	scripts/bench-reconstruct.sh
 
 bench-live: demo
@@ -140,7 +140,7 @@ light: packages
 
 real: packages
 	@scripts/install-packages.sh python3-venv
-	$(CARGO) build --release --bin fourdbody --example wrapped_phase
+	$(CARGO) build --release --workspace --bin fourdbody --example wrapped_phase
 	scripts/real.sh
 
 validate: packages

@@ -69,6 +69,9 @@ export const node = {
   /** What its light is good for, to lie over it. */
   light: (peer, camera) =>
     ask(at(peer, `/previews/${encodeURIComponent(camera)}?light=true`)).then((answer) => (answer.status === 204 ? null : answer.blob())),
+  /** A square of it in full size about a place, as parts of its width and height. */
+  detail: (peer, camera, [x, y]) =>
+    ask(at(peer, `/previews/${encodeURIComponent(camera)}?x=${x}&y=${y}`)).then((answer) => (answer.status === 204 ? null : answer.blob())),
   sessions: (peer, limit, search) => get(at(peer, `/sessions?limit=${limit}&search=${encodeURIComponent(search)}`)),
   remark: (peer, session, remark) => post(at(peer, `/sessions/${encodeURIComponent(session)}/remark`), remark),
   expose: (peer, request) => post(at(peer, "/exposure"), request, 40000).then((answer) => answer.json()),

@@ -106,17 +106,44 @@ function showTile(shown, from, camera) {
   shown.said.title = judged.words;
 }
 
+/** Where the square in full size lies, as parts of the picture's width and height; and the square's side, sensor px. */
+let place = [0.5, 0.5];
+const DETAIL_PX = 240;
+/** Pixels of the sensor for one of the picture. */
+const STEP_PX = 4;
+
 function enlarge(id) {
   large = id;
+  moveDetail([0.5, 0.5]);
   showLarge();
   $("large").showModal();
 }
 $("large").addEventListener("close", () => {
   large = null;
-  $("large-light").hidden = true;
+  $("large-light").hidden = $("large-pixels").hidden = true;
 });
 $("large-close").addEventListener("click", () => $("large").close());
-$("large-frame").addEventListener("click", () => $("large").close());
+$("large-frame").addEventListener("click", (event) => {
+  const box = $("large-box").getBoundingClientRect();
+  if (!$("large-box").contains(event.target)) $("large").close();
+  else moveDetail([(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height]);
+});
+const ARROWS = { ArrowLeft: [-0.04, 0], ArrowRight: [0.04, 0], ArrowUp: [0, -0.025], ArrowDown: [0, 0.025] };
+$("large").addEventListener("keydown", (event) => {
+  const by = ARROWS[event.key];
+  if (!by) return;
+  event.preventDefault();
+  moveDetail(place.map((at, axis) => at + by[axis]));
+});
+
+/** The square lies within the picture. */
+function moveDetail(to) {
+  const { naturalWidth, naturalHeight } = cameras.get(large).picture;
+  const side = [naturalWidth, naturalHeight].map((length) => (length ? Math.min(1, DETAIL_PX / STEP_PX / length) : 1));
+  place = to.map((at, axis) => Math.min(1 - side[axis] / 2, Math.max(side[axis] / 2, at)));
+  const percent = (part) => `${100 * part}%`;
+  Object.assign($("large-mark").style, { left: percent(place[0]), top: percent(place[1]), width: percent(side[0]), height: percent(side[1]) });
+}
 
 /** The enlarged picture with the figures behind its sign. */
 function showLarge() {
@@ -146,7 +173,7 @@ export async function refreshPictures(peer) {
     shown.fact = fact;
     shown.at = performance.now();
     if (fact.light && ageOf(shown) < LIVE_S) shown.best = Math.max(shown.best, fact.light.focus);
-    if (fact.camera === large) await refreshLight(peer, shown);
+    if (fact.camera === large) await Promise.all([refreshLight(peer, shown), refreshDetail(peer, shown)]);
     if (!fact.number || fact.number === shown.number) continue;
     const blob = await node.picture(peer, fact.camera);
     if (!blob) continue;
@@ -159,14 +186,24 @@ export async function refreshPictures(peer) {
   }
 }
 
+/** Shows a blob in an image, in place of the one before. */
+function showBlob(image, blob) {
+  image.hidden = !blob;
+  if (!blob) return;
+  const before = image.src;
+  image.src = URL.createObjectURL(blob);
+  if (before) URL.revokeObjectURL(before);
+}
+
+async function refreshDetail(peer, shown) {
+  const blob = await node.detail(peer, large, place).catch(() => null);
+  showBlob($("large-pixels"), shown.live ? blob : null);
+}
+
 /** Lays over the enlarged picture what its light is good for. */
 async function refreshLight(peer, shown) {
   const blob = await node.light(peer, large).catch(() => null);
-  $("large-light").hidden = !blob || !shown.live;
-  if (!blob) return;
-  const before = $("large-light").src;
-  $("large-light").src = URL.createObjectURL(blob);
-  if (before) URL.revokeObjectURL(before);
+  showBlob($("large-light"), shown.live ? blob : null);
 }
 
 // The tiles are made anew when they are shown next.

@@ -179,6 +179,7 @@ export const GERMAN = {
   "large-exposure-is": "{ev} EV wäre richtig",
   "large-no-advice": "kein Vorschlag",
   "large-lost": "verloren",
+  "large-move": "das markierte Quadrat in voller Größe; ein Klick ins Bild oder die Pfeiltasten verschieben es",
   "large-good": "grün: Streifen, die für Punkte stark genug sind",
   "large-weak": "gelb: flaue Streifen, Punkte rauschen oder fehlen: mehr Licht oder hellere Kleidung",
   "large-over": "rot: überbelichtet, keine Punkte: weniger Licht",

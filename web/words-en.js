@@ -179,6 +179,7 @@ export const ENGLISH = {
   "large-exposure-is": "{ev} EV would be right",
   "large-no-advice": "no advice",
   "large-lost": "lost",
+  "large-move": "the marked square in full size; a click on the picture or the arrow keys move it",
   "large-good": "green: stripes that are strong enough for points",
   "large-weak": "amber: weak stripes, points are noisy or get lost: more light, or lighter clothes",
   "large-over": "red: overexposed, no points: less light",

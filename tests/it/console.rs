@@ -156,6 +156,15 @@ fn watch_previews(browser: &Browser) -> bool {
         "the figures behind the sign",
         "return /stripes\\s+\\d+ DN/.test(document.getElementById('large').innerText)",
     );
+    let sharp = "const square = document.getElementById('large-pixels'); return !square.hidden && square.naturalWidth === 240";
+    browser.wait("a square in full size", sharp);
+    let places = || {
+        browser.run("const mark = document.getElementById('large-mark').style; return [mark.left, mark.top]")
+    };
+    browser.drag("large-box", (60, 40));
+    let clicked = places();
+    browser.press("\u{E012}");
+    assert_ne!(clicked, places(), "an arrow key moves the square");
     browser.keep("camera");
     browser.press("\u{E00C}");
     let has_body = a_live_body_is_shown(browser);

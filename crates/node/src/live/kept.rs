@@ -154,7 +154,7 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     fn sample(trigger: u64) -> Sample {
-        Sample { trigger, host_time_ns: 0, width: 1, pixels: vec![0] }
+        Sample { trigger, width: 1, pixels: vec![0], ..Sample::default() }
     }
 
     /// Two cameras at 120 Hz: each eighth trigger. Frame sets of these triggers have come.

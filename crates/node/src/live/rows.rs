@@ -85,7 +85,10 @@ fn decode(bytes: &[u8]) -> Result<(u64, Rows), String> {
     let mut rows = Rows::new();
     for (id, host_time_ns, width, height) in heads {
         let pixels = cut(&mut rest, width * height)?.to_vec();
-        if rows.insert(id.clone(), Sample { trigger, host_time_ns, width, pixels }).is_some() {
+        if rows
+            .insert(id.clone(), Sample { trigger, host_time_ns, width, pixels, ..Sample::default() })
+            .is_some()
+        {
             return Err(format!("camera {id} is there twice"));
         }
     }
@@ -114,7 +117,7 @@ mod tests {
 
     #[test]
     fn a_node_has_rows_of_its_own_cameras_and_of_no_other() {
-        let sample = Sample { trigger: 8, host_time_ns: 0, width: 1, pixels: vec![7] };
+        let sample = Sample { trigger: 8, width: 1, pixels: vec![7], ..Sample::default() };
         let bytes = |ids: &[&str]| {
             let rows: Rows = ids.iter().map(|id| (CameraId::from(*id), sample.clone())).collect();
             encode(8, rows.iter())
@@ -137,7 +140,7 @@ mod tests {
             cameras in prop::collection::vec((any::<u64>(), 1usize..20, 0usize..9, any::<u8>()), 0..5),
         ) {
             let sample = |&(host_time_ns, width, rows, grey): &(u64, usize, usize, u8)| Sample {
-                trigger, host_time_ns, width, pixels: vec![grey; width * rows],
+                trigger, host_time_ns, width, pixels: vec![grey; width * rows], ..Sample::default()
             };
             let named = cameras.iter().enumerate().map(|(i, camera)| (CameraId(format!("h{i}_up")), sample(camera)));
             let rows: Rows = named.collect();

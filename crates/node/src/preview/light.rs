@@ -139,7 +139,7 @@ mod tests {
             let lit = mean + amplitude * (TAU * u as f64 / period).cos();
             if u < width / 2 { lit.round().clamp(0.0, 255.0) as u8 } else { 3 }
         };
-        Sample { trigger: 0, host_time_ns: 0, width, pixels: (0..width * rows).map(pixel).collect() }
+        Sample { width, pixels: (0..width * rows).map(pixel).collect(), ..Sample::default() }
     }
 
     #[test]

@@ -39,8 +39,33 @@ pub struct Picture {
     pub png: Vec<u8>,
     /// What the light is good for, to lie over it, where somebody has asked for that of late.
     pub light_png: Option<Vec<u8>>,
+    /// A square with all its pixels, upright, where somebody has asked for that of late.
+    pub detail_png: Option<Vec<u8>>,
     /// What its light is like.
     pub light: Light,
+}
+
+/// What a client wants of a camera's newest picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Part {
+    /// The picture itself, a quarter of the frame.
+    Whole,
+    /// [`Picture::light_png`], to lie over the picture.
+    Light,
+    /// [`Picture::detail_png`] about this place: parts of the upright picture's width from the left, and of its height from
+    /// the top, from 0 to 1.
+    Detail([f32; 2]),
+}
+
+impl Picture {
+    /// The PNG of a part; `None` where it has not been made yet.
+    pub fn part(&self, part: Part) -> Option<&[u8]> {
+        match part {
+            Part::Whole => Some(&self.png),
+            Part::Light => self.light_png.as_deref(),
+            Part::Detail(_) => self.detail_png.as_deref(),
+        }
+    }
 }
 
 /// The description of a picture, without its pixels.
@@ -72,6 +97,7 @@ struct Shared {
     taps: Arc<Taps>,
     requested: Vec<Interest>,
     light_requested: Vec<Interest>,
+    detail_requested: Vec<Interest>,
     pictures: Vec<RwLock<Option<Arc<Picture>>>>,
 }
 
@@ -83,6 +109,7 @@ impl Previews {
             taps,
             requested: (0..cameras).map(|_| Interest::default()).collect(),
             light_requested: (0..cameras).map(|_| Interest::default()).collect(),
+            detail_requested: (0..cameras).map(|_| Interest::default()).collect(),
             pictures: (0..cameras).map(|_| RwLock::default()).collect(),
         });
         let (wake, awake) = bounded(1);
@@ -94,15 +121,21 @@ impl Previews {
         Ok(Self { shared, wake })
     }
 
-    /// The newest picture of a camera, and the wish for the next one, `with_light` with [`Picture::light_png`].
-    pub fn latest(&self, camera: &str, with_light: bool) -> Result<Option<Arc<Picture>>, UnknownCamera> {
+    /// The newest picture of a camera, and the wish for the next one with this part.
+    pub fn latest(&self, camera: &str, part: Part) -> Result<Option<Arc<Picture>>, UnknownCamera> {
         let place = self.shared.taps.cameras().position(|known| known.as_str() == camera);
         let place = place.ok_or_else(|| UnknownCamera {
             asked: camera.to_owned(),
             known: self.shared.taps.cameras().map(ToString::to_string).collect(),
         })?;
-        if with_light {
-            self.shared.light_requested[place].note();
+        match part {
+            Part::Whole => {}
+            Part::Light => self.shared.light_requested[place].note(),
+            Part::Detail([right, down]) => {
+                self.shared.detail_requested[place].note();
+                // Upright pictures are frames turned clockwise.
+                self.shared.taps.show_detail(place, Some([down, 1.0 - right]));
+            }
         }
         Ok(self.look(place))
     }
@@ -151,6 +184,9 @@ impl Shared {
             while self.requested.iter().any(Interest::is_fresh) {
                 for camera in (0..cameras).filter(|camera| self.requested[*camera].is_fresh()) {
                     if Instant::now() >= next[camera] {
+                        if !self.detail_requested[camera].is_fresh() {
+                            self.taps.show_detail(camera, None);
+                        }
                         self.taps.ask(camera);
                         next[camera] = Instant::now() + PERIOD;
                     }
@@ -172,8 +208,17 @@ impl Shared {
                 let (trigger, host_time_ns) = (sample.trigger, sample.host_time_ns);
                 let with_light = self.light_requested[camera].is_fresh();
                 let light_png = with_light.then(|| picture::light_png(sample)).transpose().unwrap_or(None);
+                let detail_png = picture::detail_png(sample).unwrap_or(None);
                 let light = measure(sample);
-                *slot = Some(Arc::new(Picture { number, trigger, host_time_ns, png, light_png, light }));
+                *slot = Some(Arc::new(Picture {
+                    number,
+                    trigger,
+                    host_time_ns,
+                    png,
+                    light_png,
+                    detail_png,
+                    light,
+                }));
             }
             Err(error) => tracing::debug!("a preview could not be encoded: {error}"),
         }
@@ -182,7 +227,7 @@ impl Shared {
 
 #[cfg(test)]
 mod tests {
-    use super::Previews;
+    use super::{Part, Previews};
     use crate::acquire::preview::Taps;
     use crate::base::ids::CameraId;
     use std::sync::Arc;
@@ -191,9 +236,9 @@ mod tests {
     fn a_camera_that_is_not_there_is_named_with_those_that_are() {
         let taps = Arc::new(Taps::new([CameraId::from("h0_up"), CameraId::from("h0_low")]));
         let previews = Previews::start(taps).expect("a thread");
-        let error = previews.latest("h9_up", false).expect_err("not there").to_string();
+        let error = previews.latest("h9_up", Part::Whole).expect_err("not there").to_string();
         assert!(error.contains("h9_up") && error.contains("h0_up, h0_low"), "{error}");
-        assert!(previews.latest("h0_low", true).expect("there").is_none(), "no frame yet");
+        assert!(previews.latest("h0_low", Part::Light).expect("there").is_none(), "no frame yet");
         assert_eq!(previews.facts().len(), 2);
     }
 }

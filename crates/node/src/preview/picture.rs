@@ -23,9 +23,28 @@ pub fn upright_png(sample: &Sample) -> Result<Vec<u8>, png::EncodingError> {
             pixels[u * width + (rows - 1 - v)] = if four.contains(&255) { RED } else { grey };
         }
     }
+    encode((width, height), &pixels, (greys(), Vec::new()))
+}
+
+/// The square with all its pixels ([`Sample::detail`]), upright; saturated pixels are red. None where none was requested.
+pub fn detail_png(sample: &Sample) -> Result<Option<Vec<u8>>, png::EncodingError> {
+    let columns = sample.detail_width;
+    let rows = sample.detail.len().checked_div(columns).unwrap_or(0);
+    if rows == 0 {
+        return Ok(None);
+    }
+    let mut pixels = vec![0u8; sample.detail.len()];
+    for (v, row) in sample.detail.chunks_exact(columns).enumerate() {
+        row.iter().enumerate().for_each(|(u, grey)| pixels[u * rows + (rows - 1 - v)] = *grey);
+    }
+    encode((rows, columns), &pixels, (greys(), Vec::new())).map(Some)
+}
+
+/// All grey values, the largest of them red.
+fn greys() -> Vec<u8> {
     let mut palette: Vec<u8> = (0..=254u8).flat_map(|grey| [grey; 3]).collect();
     palette.extend([255, 40, 40]);
-    encode((width, height), &pixels, (palette, Vec::new()))
+    palette
 }
 
 /// Colours of [`WindowLight`]: nothing, green, amber, red.
@@ -68,7 +87,7 @@ fn encode(
 
 #[cfg(test)]
 mod tests {
-    use super::upright_png;
+    use super::{detail_png, upright_png};
     use crate::acquire::preview::Sample;
 
     #[test]
@@ -79,10 +98,22 @@ mod tests {
         let second = [30, 30, 30, 30, 30, 30, 30, 255];
         let sample = Sample { width: 8, pixels: [first, second].concat(), ..Sample::default() };
         let png = upright_png(&sample).expect("encoded");
+        assert_eq!(pixels_of(png), ((2, 2), vec![30, 200, 255, 10]));
+    }
+
+    #[test]
+    fn a_square_is_turned_like_the_picture() {
+        assert!(detail_png(&Sample::default()).expect("nothing to encode").is_none());
+        let sample = Sample { detail: vec![1, 2, 3, 4, 5, 255], detail_width: 3, ..Sample::default() };
+        let png = detail_png(&sample).expect("encoded").expect("a square");
+        assert_eq!(pixels_of(png), ((2, 3), vec![4, 1, 5, 2, 255, 3]));
+    }
+
+    fn pixels_of(png: Vec<u8>) -> ((u32, u32), Vec<u8>) {
         let mut reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().expect("a PNG");
-        assert_eq!((reader.info().width, reader.info().height), (2, 2));
-        let mut pixels = vec![0; 4];
+        let size = (reader.info().width, reader.info().height);
+        let mut pixels = vec![0; (size.0 * size.1) as usize];
         reader.next_frame(&mut pixels).expect("pixels");
-        assert_eq!(pixels, [30, 200, 255, 10]);
+        (size, pixels)
     }
 }

@@ -155,7 +155,7 @@ fn samples(recording: &RecordingReader, camera: usize) -> Vec<Sample> {
     let sample = |trigger: u64| {
         let frame = recording.frame(camera, TriggerIndex(trigger)).ok()?.ok()?;
         let mut sample = Sample::default();
-        sample.fill(&frame.meta, frame.image.as_slice());
+        sample.fill(&frame.meta, frame.image.as_slice(), None);
         Some(sample)
     };
     triggers.into_iter().filter_map(sample).collect()

@@ -6,7 +6,7 @@ use crate::api::Shared;
 use crate::api::refusal::Refusal;
 use crate::base::Fault;
 use crate::control::status::path;
-use crate::preview::PictureFacts;
+use crate::preview::{Part, PictureFacts};
 use axum::Json;
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderName, HeaderValue, StatusCode};
@@ -32,19 +32,42 @@ async fn get_previews(State(shared): State<Shared>) -> Json<Vec<PictureFacts>> {
     Json(shared.services.previews.facts())
 }
 
-/// What of a picture the client wants.
+/// What of a picture the client wants: the whole where nothing is given.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
-struct Part {
+struct Wanted {
     /// What the light is good for, in place of the picture: green where fringes are strong enough, amber where they are
     /// weak, red where they are overexposed, clear elsewhere. A row of pixels for 24 columns of the frame.
     #[serde(default)]
     light: bool,
+    /// With `y`: in place of the picture a square of at most 240 pixels a side at the frame's full size, about this part of
+    /// the picture's width from the left, 0 to 1.
+    x: Option<f32>,
+    /// The same of the picture's height, from the top.
+    y: Option<f32>,
+}
+
+impl Wanted {
+    fn part(&self) -> Result<Part, Refusal> {
+        match (self.light, self.x, self.y) {
+            (false, None, None) => Ok(Part::Whole),
+            (true, None, None) => Ok(Part::Light),
+            (false, Some(x), Some(y)) if [x, y].iter().all(|at| (0.0..=1.0).contains(at)) => {
+                Ok(Part::Detail([x, y]))
+            }
+            (light, x, y) => Err(Refusal::new(
+                StatusCode::BAD_REQUEST,
+                format!(
+                    "expected light=true, or x and y from 0 to 1, or nothing; found light={light}, x {x:?}, y {y:?}"
+                ),
+            )),
+        }
+    }
 }
 
 /// A camera's newest picture: upright, a quarter of the frame's size, saturated pixels red. 204 before the first.
 #[utoipa::path(get, path = path::PICTURE, tag = "preview",
-    params(("camera" = String, Path, description = "Its name in the rig."), Part),
+    params(("camera" = String, Path, description = "Its name in the rig."), Wanted),
     responses(
         (status = 200, description = "The picture.", content_type = "image/png", body = Vec<u8>),
         (status = 204, description = "The camera has sent nothing yet."),
@@ -52,12 +75,14 @@ struct Part {
 async fn get_picture(
     State(shared): State<Shared>,
     Path(camera): Path<String>,
-    Query(Part { light }): Query<Part>,
+    Query(wanted): Query<Wanted>,
 ) -> Result<Response, Refusal> {
-    let picture = shared.services.previews.latest(&camera, light).map_err(Refusal::not_found)?;
+    let part = wanted.part()?;
+    let picture = shared.services.previews.latest(&camera, part).map_err(Refusal::not_found)?;
     let Some(picture) = picture else { return Ok(StatusCode::NO_CONTENT.into_response()) };
-    let part = if light { picture.light_png.clone() } else { Some(picture.png.clone()) };
-    let Some(png) = part else { return Ok(StatusCode::NO_CONTENT.into_response()) };
+    let Some(png) = picture.part(part).map(<[u8]>::to_vec) else {
+        return Ok(StatusCode::NO_CONTENT.into_response());
+    };
     let number = [(HeaderName::from_static("x-picture"), picture.number.to_string())];
     Ok((number, bytes("image/png", png)).into_response())
 }
