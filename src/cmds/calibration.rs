@@ -14,6 +14,7 @@ use crate::calibrate::drift::{self, Drift, Kind, Move};
 use crate::data::{Calibration, FrameSource, PhaseMap};
 use crate::formats::phase_file;
 use crate::reconstruct::fringe_order::MostDifference;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 /// Check a calibration while it is in use.
@@ -210,9 +211,11 @@ impl Check {
         }
         let progress = Progress::of("looking", "frame sets");
         let source = compared.source.as_ref();
-        let (summary, _) =
-            run::run(source, calibration, &plan, |done| progress.at(done as u64, total as u64))
-                .map_err(|e| Unmeasured::Failed(Failure::failed(e)))?;
+        let (summary, _) = run::run(source, calibration, &plan, |done| {
+            progress.at(done as u64, total as u64);
+            ControlFlow::Continue(())
+        })
+        .map_err(|e| Unmeasured::Failed(Failure::failed(e)))?;
         let found = plan.shard_triggers().map(|trigger| maps(&plan, calibration, trigger));
         let drift = drift::estimate(&compared.calibration, known, found).map_err(|e| {
             let refused = summary.most_refused_for().map(|reason| format!("; frames are refused: {reason}"));

@@ -13,9 +13,9 @@ use crate::batch::collect_shards::{self, Shards};
 use crate::batch::image_tree::ImageTree;
 use crate::batch::png_source::PngSource;
 use crate::batch::run::{self, Format, Plan};
-use crate::batch::strangers;
 use crate::batch::summary::Summary;
 use crate::batch::timings::Timings;
+use crate::batch::whole;
 use crate::data::{Calibration, FrameSource, LostPart, SessionIdentity};
 use crate::reconstruct::fringe_order::{self, MostDifference};
 use crate::reconstruct::marker::epipolar_check::REMARKABLE_PX;
@@ -24,7 +24,7 @@ use crate::record::{ReadError, SessionReader};
 use clap::ValueEnum;
 use staged::Staged;
 use std::io::IsTerminal;
-use std::ops::Range;
+use std::ops::{ControlFlow, Range};
 use std::path::{Path, PathBuf};
 
 /// Turn every frame of a session into a point cloud, stored as a phase map.
@@ -158,28 +158,6 @@ fn open_by(
     Ok(Box::new(open(path)?))
 }
 
-/// Refuses a session and a calibration that do not have the same cameras: half a rig must not pass for a whole one.
-fn same_cameras(calibrated: &[CameraId], session: &SessionIdentity) -> Result<(), String> {
-    let list = |ids: &[&CameraId]| ids.iter().map(|id| id.as_str()).collect::<Vec<_>>().join(", ");
-    let lacking = |all: &'_ [CameraId], there: &[CameraId]| -> String {
-        let lacking: Vec<&CameraId> = all.iter().filter(|id| !there.contains(id)).collect();
-        list(&lacking)
-    };
-    let (of_session, of_calibration) =
-        (lacking(&session.cameras, calibrated), lacking(calibrated, &session.cameras));
-    let found = match (of_session.as_str(), of_calibration.as_str()) {
-        ("", "") => return Ok(()),
-        (more, "") => format!("the session has {more}, which the calibration has not"),
-        ("", more) => format!("the calibration has {more}, which the session has not"),
-        (a, b) => format!("the session has {a}, which the calibration has not, and the calibration {b}"),
-    };
-    Err(format!(
-        "{found}; expected the same cameras in both. Give the calibration of the whole rig, or choose a \
-         part of it: --cameras, or \
-         --partial for those that both have"
-    ))
-}
-
 /// Lets the allocator keep the memory of a frame for the next one. By default blocks of this size go back to the
 /// system each time, and every page of them is cleared and mapped anew: a quarter of the time.
 pub(super) fn keep_freed_memory() {
@@ -223,17 +201,13 @@ impl What {
         } else if self.cameras.is_empty() {
             // The cameras of an unreadable recording are not known: those are what is lacking.
             let exit = if source.lost().is_empty() { Exit::Usage } else { Exit::Corrupt };
-            same_cameras(&cameras, &session).map_err(|e| Failure::new(exit, e))?;
+            whole::same_cameras(&cameras, &session).map_err(|e| Failure::new(exit, e))?;
         }
         if let Some(none) = cameras.is_empty().then_some("the calibration has none of the session's cameras")
         {
             return Err(usage(&none));
         }
-        if let Some(stated) = source.statement() {
-            let is_lost = |id: &CameraId| source.lost().iter().any(|part| part.cameras.contains(id));
-            let readable: Vec<CameraId> = cameras.iter().filter(|id| !is_lost(id)).cloned().collect();
-            calibration.fits(&readable, &stated).map_err(|e| usage(&e))?;
-        }
+        whole::fits(&calibration, &cameras, source.as_ref()).map_err(|e| usage(&e))?;
         let triggers = super::export::chosen_triggers(self.triggers.as_ref(), source.triggers())?;
         if matches!(self.method, MethodName::Paper) && calibration.pattern.marker_every > 0 {
             let message = "--method paper: the paper's pattern has one marker, this calibration's has \
@@ -349,24 +323,13 @@ fn run_here(args: &Args, what: &What) -> Result<Exit, Failure> {
             pool.install(|| collect_shards::collect(&shards))?
         }
     };
-    // A frame of another trigger is known by those around it, which other shards have.
-    if args.shard.is_none() {
-        let progress = Progress::of("looking for frames of other triggers", "triggers");
-        let at = |done: usize, of: usize| progress.at(done as u64, of as u64);
-        let refused = pool.install(|| strangers::refuse(&plan, &calibration, &mut summary, at));
-        refused.map_err(|e| Failure::new(Exit::Failure, e))?;
+    let progress = Progress::of("looking for frames of other triggers", "triggers");
+    let at = |done: usize, of: usize| progress.at(done as u64, of as u64);
+    let lost = source.lost().iter().filter(|part| what.includes(part));
+    pool.install(|| whole::finish(&plan, args.shard, &calibration, &mut summary, lost, what.rate_hz, at))?;
+    if plan.merges() && args.shard.is_none() && summary.time_base.is_none() {
+        tell_made_up_times(what.rate_hz);
     }
-    // The merged clouds of other shards may not be there yet: one sequence of all is made when they are collected.
-    if plan.merges() && args.shard.is_none() {
-        run::write_sequence(&plan, &summary, what.rate_hz).map_err(|e| Failure::new(Exit::Failure, e))?;
-        if summary.time_base.is_none() {
-            tell_made_up_times(what.rate_hz);
-        }
-    }
-    summary.unreadable =
-        source.lost().iter().filter(|part| what.includes(part)).map(LostPart::to_string).collect();
-    let path = collect_shards::summary_path(&plan.out, args.shard);
-    summary.save(&path).map_err(|e| Failure::new(Exit::Failure, e))?;
     report(args, &summary);
     // Of few frame sets a shard may have none.
     if args.shard.is_some() && summary.frames == 0 {
@@ -414,6 +377,7 @@ fn reconstruct(
         if show {
             eprint!("\r{done} of {count} triggers{}", if done == count { "\n" } else { "" });
         }
+        ControlFlow::Continue(())
     };
     let (summary, timings) = pool.install(|| run::run(source, calibration, plan, progress))?;
     if let Some(path) = &args.timings {

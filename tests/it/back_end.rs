@@ -126,7 +126,7 @@ fn clouds_of_stored_phase_have_the_bytes_of_those_written_directly() {
             let cameras = cameras.clone();
             let (out, formats) = (out(name), vec![format]);
             let plan = Plan { out, triggers: 0..1, cameras, formats, uncertainty, ..Plan::default() };
-            let (summary, _) = run::run(&source, &calibration, &plan, |_| ()).expect("runs");
+            let (summary, _) = run::run(&source, &calibration, &plan, run::to_the_end).expect("runs");
             if format == Format::Ply {
                 run::write_sequence(&plan, &summary, 120.0).expect("writable");
             }

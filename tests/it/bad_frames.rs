@@ -288,7 +288,7 @@ fn of_cameras(photographs: &[(Place, Place)]) -> Vec<(usize, Option<String>)> {
         discard: true,
         ..Plan::default()
     };
-    let (summary, _) = run::run(&source, &calibration, &plan, |_| ()).expect("runs");
+    let (summary, _) = run::run(&source, &calibration, &plan, run::to_the_end).expect("runs");
     let frames = &summary.triggers[0].frames;
     frames.iter().for_each(|x| println!("{}: {} points, {:?}", x.camera, x.points, x.reason));
     frames.iter().map(|x| (x.points, x.reason.clone())).collect()

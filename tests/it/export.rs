@@ -305,7 +305,8 @@ fn the_closed_mesh_of_a_rendered_ball_has_its_volume() {
         formats: vec![Format::Phase],
         ..Plan::default()
     };
-    let (summary, _) = run::run(&Frames(frames, cameras), &calibration, &plan, |_| ()).expect("runs");
+    let (summary, _) =
+        run::run(&Frames(frames, cameras), &calibration, &plan, run::to_the_end).expect("runs");
     assert_eq!(summary.clouds, 8, "{summary:?}");
     summary.save(&plan.out.join("summary.json")).expect("writable");
     // From stored phase maps, with the calibration beside them, or with the one that is given.

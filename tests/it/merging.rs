@@ -51,7 +51,8 @@ impl Scene {
             ..Plan::default()
         };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        let done = pool.install(|| run::run(&self.source, &self.calibration, &plan, |_| ())).expect("runs");
+        let done =
+            pool.install(|| run::run(&self.source, &self.calibration, &plan, run::to_the_end)).expect("runs");
         done.0.save(&plan.out.join("summary.json")).expect("writable");
         done
     }

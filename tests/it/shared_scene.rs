@@ -423,7 +423,7 @@ fn a_batch_gives_the_same_bytes_for_any_threads_and_resumes() {
             ..Plan::default()
         };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        let done = pool.install(|| run::run(&source, &calibration, &plan, |_| ())).expect("runs");
+        let done = pool.install(|| run::run(&source, &calibration, &plan, run::to_the_end)).expect("runs");
         run::write_sequence(&plan, &done.0, 120.0).expect("writable");
         done
     };

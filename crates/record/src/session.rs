@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A session: a directory with the recordings of all its nodes, read as one source of frames.
 
+use super::envelope::FrameMeta;
 use super::files::{ReadError, find, node_of_dir};
 use super::layout::{GapCause, MAX_CAMERAS};
 use super::reader::{Extent, RecordedFrame, RecordingReader};
@@ -178,6 +179,16 @@ impl SessionReader {
     ) -> Result<Result<RecordedFrame, GapCause>, String> {
         let (recording, place) = self.place(camera)?;
         recording.frame(place, trigger)
+    }
+
+    /// The identity of a camera's frame at a trigger, without its pixels; `Ok(Err(cause))` for a gap.
+    pub fn recorded_frame_meta(
+        &self,
+        camera: &CameraId,
+        trigger: TriggerIndex,
+    ) -> Result<Result<FrameMeta, GapCause>, String> {
+        let (recording, place) = self.place(camera)?;
+        recording.frame_meta(place, trigger)
     }
 }
 

@@ -92,6 +92,12 @@ impl<T: Copy> Plane<T> {
         &self.data[..self.width * self.height]
     }
 
+    /// All values, row by row.
+    pub fn into_vec(mut self) -> Vec<T> {
+        self.data.truncate(self.width * self.height);
+        self.data
+    }
+
     /// All values, row after row.
     pub fn as_mut_slice(&mut self) -> &mut [T] {
         &mut self.data[..self.width * self.height]

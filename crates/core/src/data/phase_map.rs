@@ -45,6 +45,13 @@ pub struct PhaseMap {
     pub sigma_code: Vec<u8>,
 }
 
+impl PhaseMap {
+    /// Column and row of each pixel, in the order of [`Self::phase`].
+    pub fn pixels(&self) -> impl Iterator<Item = [u16; 2]> {
+        self.runs.iter().flat_map(|run| (0..run.length).map(|i| [run.first + i, run.row]))
+    }
+}
+
 /// Bits of the least standard uncertainty that its code can state: 0.0001 rad.
 const LEAST_SIGMA: u32 = 0x38d1_b717;
 

@@ -34,5 +34,7 @@ pub mod summary;
 /// What a run has taken.
 pub mod timings;
 mod unchecked;
+/// What stands before and behind a run of a whole session.
+pub mod whole;
 /// Whether a frame shows its own trigger.
 pub mod witness;

@@ -35,6 +35,7 @@ use crate::reconstruct::pipeline::{Pipeline, Workspace};
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::reconstruct::triangulate::triangulator::Triangulator;
 use rayon::prelude::*;
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -110,12 +111,18 @@ fn cameras_by_head(plan: &Plan, calibration: &Calibration) -> Result<Vec<Vec<Cam
 /// threads each some of them would wait at its ends.
 const THREADS_PER_FRAME_SET: usize = 4;
 
-/// Runs the plan on the current rayon pool. `progress` gets the number of triggers done.
+/// The progress of a run that nobody watches, and nobody ends before its time.
+pub fn to_the_end(_: usize) -> ControlFlow<()> {
+    ControlFlow::Continue(())
+}
+
+/// Runs the plan on the current rayon pool. `progress` gets the number of triggers done, and may end the run: what is done
+/// is kept for the next one.
 pub fn run(
     source: &dyn FrameSource,
     calibration: &Calibration,
     plan: &Plan,
-    progress: impl Fn(usize) + Sync,
+    progress: impl Fn(usize) -> ControlFlow<()> + Sync,
 ) -> Result<(Summary, Timings), Fault> {
     let key = Key::of(source.identity()?, calibration, plan)?;
     if !plan.discard {
@@ -142,7 +149,10 @@ pub fn run(
             // Nobody begins another one after an error.
             let summary = job.trigger(trigger).inspect_err(|_| next.store(triggers.len(), Ordering::Relaxed));
             made.push((trigger, summary?));
-            progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+            if progress(done.fetch_add(1, Ordering::Relaxed) + 1).is_break() {
+                next.store(triggers.len(), Ordering::Relaxed);
+                return Err("stopped as requested; the same run goes on from there".to_owned());
+            }
         }
         Ok(made)
     };
