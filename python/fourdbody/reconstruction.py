@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Photographs of fringes to points."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import _native
+from .calibration import Calibration
+from .clouds import Cloud, cloud_of
+from .result import Result
+from .session import Session
+
+
+@dataclass(frozen=True)
+class FrameSet:
+    """What the photographs of one instant have become."""
+
+    merged: Cloud
+    clouds: dict[str, Cloud]
+    """The cloud of each camera; empty where its photograph was refused."""
+    refused: dict[str, str]
+    """Why a photograph gave no points."""
+
+
+class Reconstructor:
+    """Reconstructs the photographs that cameras of one calibration take at one instant.
+
+    Making one takes about a second; keep it. Work runs on all processors without the interpreter's lock.
+    """
+
+    def __init__(self, calibration: Calibration):
+        self._native = _native.Reconstructor(calibration._native)
+        self.cameras = calibration.cameras
+
+    def __call__(self, images: Mapping[str, np.ndarray]) -> FrameSet:
+        """`images`: uint8, rows x columns, by camera. Cameras may be missing; each confirms the others' fringe orders."""
+        given = {camera: np.ascontiguousarray(image) for camera, image in images.items()}
+        for camera, image in given.items():
+            if image.dtype != np.uint8 or image.ndim != 2:
+                raise TypeError(f"expected uint8, rows x columns, found {image.dtype} {image.shape} for {camera}")
+        clouds, merged = self._native.reconstruct(given)
+        return FrameSet(
+            cloud_of(merged, self.cameras),
+            {camera: cloud_of(arrays, (camera,)) for camera, (arrays, _) in clouds.items()},
+            {camera: reason for camera, (_, reason) in clouds.items() if reason is not None},
+        )
+
+
+def reconstruct_images(images: Mapping[str, np.ndarray], calibration: Calibration) -> FrameSet:
+    """The photographs of one instant to points, in memory. For more than one instant keep a Reconstructor."""
+    return Reconstructor(calibration)(images)
+
+
+def reconstruct(
+    session: Session,
+    calibration: Calibration,
+    out: str | os.PathLike,
+    *,
+    triggers: range | None = None,
+    cameras: Iterable[str] = (),
+    uncertainty: bool = False,
+    clouds: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Result:
+    """Reconstructs a session into the directory `out`, as `fourdbody reconstruct` does, and opens the result.
+
+    triggers: consecutive ones; all by default. cameras: all by default. uncertainty: of each point, too. clouds: also
+    as PLY files, not only as phase maps. progress: is called with triggers done and their number. What is there of the
+    same session and calibration is kept; Ctrl-C ends the work after the triggers that are under way.
+    """
+    if triggers is not None and (triggers.step != 1 or len(triggers) == 0):
+        raise ValueError(f"expected consecutive triggers, found {triggers}")
+    bounds = None if triggers is None else (triggers.start, triggers.stop)
+    _native.reconstruct(session.path, calibration._native, os.fspath(out), bounds, list(cameras), uncertainty, clouds, progress)
+    return Result(out)

@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A calibration: where the devices are, and what their pixels see.
+
+use crate::arrays;
+use crate::error::OrRaise;
+use fourdbody_core::base::Exit;
+use fourdbody_core::data;
+use fourdbody_core::geometry::Device;
+use nalgebra::Point3;
+use numpy::{PyArray2, PyReadonlyArray2};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+
+#[pyclass(frozen)]
+pub struct Calibration {
+    pub content: data::Calibration,
+}
+
+#[pymethods]
+impl Calibration {
+    #[new]
+    fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        Ok(Self { content: data::Calibration::load(&path).or_raise(py, Exit::Usage)? })
+    }
+
+    /// The content of the file, JSON.
+    fn text(&self, py: Python<'_>) -> PyResult<String> {
+        self.content.text().or_raise(py, Exit::Failure)
+    }
+
+    /// The names of the cameras, in the order of camera numbers in merged clouds.
+    fn cameras(&self) -> Vec<String> {
+        self.content.cameras().map(|(_, camera)| camera.id.to_string()).collect()
+    }
+
+    /// Columns and rows of a device, and its centre in the world, m.
+    fn device(&self, py: Python<'_>, name: &str) -> PyResult<((usize, usize), [f64; 3])> {
+        let device = self.named(py, name)?;
+        Ok(((device.width, device.height), device.centre().into()))
+    }
+
+    /// Unit directions in the world in which a device's pixels look, N x 3; NaN where a lens has none.
+    fn directions<'py>(
+        &self,
+        py: Python<'py>,
+        name: &str,
+        uv: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let device = self.named(py, name)?;
+        let rows = rows::<2>(py, &uv)?;
+        let ray = |[u, v]: &[f64; 2]| device.ray(*u, *v).map_or([f64::NAN; 3], |ray| (*ray.direction).into());
+        arrays::table(py, rows.iter().map(ray).collect())
+    }
+
+    /// The pixels of a device that see these points of the world, N x 2; NaN where it cannot see them.
+    fn project<'py>(
+        &self,
+        py: Python<'py>,
+        name: &str,
+        xyz_m: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let device = self.named(py, name)?;
+        let rows = rows::<3>(py, &xyz_m)?;
+        let pixel = |point: &[f64; 3]| device.project(&Point3::from(*point)).unwrap_or([f64::NAN; 2]);
+        arrays::table(py, rows.iter().map(pixel).collect())
+    }
+}
+
+impl Calibration {
+    fn named(&self, py: Python<'_>, name: &str) -> PyResult<&Device> {
+        let cameras = self.content.cameras().map(|(_, camera)| (camera.id.to_string(), &camera.device));
+        let projectors =
+            self.content.heads.iter().map(|head| (format!("projector {}", head.id), &head.projector));
+        let devices: Vec<_> = cameras.chain(projectors).collect();
+        let found = devices.iter().find(|(known, _)| known == name).map(|(_, device)| *device);
+        found
+            .ok_or_else(|| {
+                let known: Vec<&str> = devices.iter().map(|(known, _)| known.as_str()).collect();
+                format!("expected a device of the calibration ({}), found {name:?}", known.join(", "))
+            })
+            .or_raise(py, Exit::Usage)
+    }
+}
+
+/// The rows of an array with N columns.
+fn rows<const N: usize>(py: Python<'_>, array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; N]>> {
+    let view = array.as_array();
+    let row = |row: numpy::ndarray::ArrayView1<'_, f64>| -> Option<[f64; N]> {
+        row.iter().copied().collect::<Vec<f64>>().try_into().ok()
+    };
+    let rows: Option<Vec<[f64; N]>> = view.rows().into_iter().map(row).collect();
+    rows.ok_or_else(|| format!("expected {N} columns, found {}", view.ncols())).or_raise(py, Exit::Usage)
+}
