@@ -7,7 +7,7 @@ set -uo pipefail
 cd "$(dirname "$0")/.."
 # Modules of tests/it without any clock; whatever is not named here is taken to have one.
 computing=(analytic_scene:: back_end:: bad_frames:: bad_photographs:: board_to_plane:: calibrate_command::
-    calibration_check:: calibration_uncertainty:: crossing_limbs:: export:: frame_set:: merging:: player:: result_files:: reused::
+    calibration_check:: calibration_uncertainty:: crossing_limbs:: export:: frame_set:: merging:: player:: reference:: result_files:: reused::
     shared_calibration:: shared_exposure:: shared_scene:: simd_paths:: validate_commands:: witness::)
 alone=faults::every_injected_fault_is_accounted_for_and_nothing_else_is_missing
 cargo=${CARGO:-cargo}

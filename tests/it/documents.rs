@@ -15,8 +15,8 @@ fn read(path: &str) -> String {
 /// Paths of all documents, with their texts.
 fn documents() -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
-    for folder in ["", "docs", "docs/guide", "docs/design", "hsu-firmware-proto", "simulator", "web", "fuzz"]
-    {
+    let of_docs = ["docs", "docs/guide", "docs/design", "docs/reference"];
+    for folder in [""].into_iter().chain(of_docs).chain(["hsu-firmware-proto", "simulator", "web", "fuzz"]) {
         for entry in std::fs::read_dir(root().join(folder)).expect(folder) {
             let path = entry.expect("an entry").path();
             if path.extension().is_some_and(|end| end == "md") {

@@ -114,6 +114,7 @@ mod recording_info;
 mod recording_pairs;
 mod recording_regions;
 mod recover;
+mod reference;
 #[cfg_attr(not(feature = "aravis"), allow(dead_code, unused_imports))]
 mod refusals;
 mod release;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The contract of a recording: topics, schemas, metadata keys, the format's version, and the records that
-//! are JSON. Frames are in [`super::envelope`].
+//! are JSON. Frames are in [`super::envelope`]. `docs/reference/recordings.md` specifies the format.
 
 use crate::base::ids::{CameraId, NodeId, SessionName, TriggerIndex};
 use crate::config::FeatureSetting;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Phase maps as files: all that a cloud follows from, given the calibration, in a twentieth of its bytes.
+//! `docs/reference/phase-maps.md` specifies them for other readers, one of which `it::reference` runs.
 //!
 //! ```text
 //! 8 bytes   "4dphase1"

@@ -2,7 +2,7 @@
 //! `calibration.json`: everything that turns a pixel and its absolute phase into a world point.
 //!
 //! Versioned and self-describing; `sha256` covers the compact JSON of the same object without that field,
-//! so a file that was edited or cut is refused.
+//! so a file that was edited or cut is refused. `docs/reference/calibration.md` specifies the file.
 
 mod found;
 mod identity;
