@@ -24,13 +24,15 @@
 #   make fuzz      every fuzz target for FUZZ_SECONDS (nightly compiler)
 #   make deb       the Debian package, in target/debian; scripts/try-package.sh tries it in a clean Debian
 #   make release   the package with SHA256SUMS, of a clean tree whose documents are of this version
+#   make wheel     the Python package, in target/wheels
+#   make python    the same, and its tests on what `make demo` wrote
 #   make third-party   others' programs that take minutes to build
 
 SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo lab test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses geometry drift noise light real validate figures packages test-packages clean-out fuzz third-party release
+.PHONY: all demo lab test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses geometry drift noise light real validate figures packages test-packages clean-out fuzz third-party release wheel python
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -68,11 +70,13 @@ test: test-packages
 
 check: packages
 	$(CARGO) fmt --all -- --check
+	$(CARGO) fmt --manifest-path python/Cargo.toml -- --check
 	$(CARGO) test --workspace --lib
 	$(CARGO) check --workspace --all-targets
 
 lint: packages
 	$(CARGO) fmt --all -- --check
+	$(CARGO) fmt --manifest-path python/Cargo.toml -- --check
 	$(CARGO) clippy --workspace --all-targets -- -D warnings
 	$(CARGO) clippy --no-default-features --all-targets -- -D warnings
 	scripts/deny.sh
@@ -156,6 +160,14 @@ deb: packages
 	$(CARGO) build --release --workspace
 	$(CARGO) run --release --example manual -- target/manual
 	target/tools/bin/cargo-deb --no-build -o target/debian/
+
+wheel: packages
+	@scripts/install-packages.sh python3-venv
+	scripts/python.sh
+
+python: demo
+	@scripts/install-packages.sh python3-venv
+	TEST=1 scripts/python.sh
 
 release: packages
 	scripts/release.sh

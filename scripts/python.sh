@@ -11,6 +11,7 @@ rm -rf target/wheels
 CARGO_TARGET_DIR=target/python target/maturin/bin/maturin build --release --locked -m python/Cargo.toml -o target/wheels
 ls -l target/wheels
 [ -n "${TEST:-}" ] || exit 0
+CARGO_TARGET_DIR=target/python cargo clippy --release --locked --manifest-path python/Cargo.toml -- -D warnings
 wheel=$(ls target/wheels/*.whl)
 for python in ${PYTHONS:-python3 python3.10 python3.13}; do
     "$python" --version >/dev/null 2>&1 || continue

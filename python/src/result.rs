@@ -4,7 +4,7 @@
 use crate::arrays;
 use crate::error::OrRaise;
 use fourdbody_core::base::Exit;
-use fourdbody_core::data::decode_sigma;
+use fourdbody_core::data::{STEPS_PER_FRINGE, STEPS_PER_LEVEL, decode_sigma};
 use fourdbody_core::formats::phase_file;
 use fourdbody_results::batch::result::Clouds;
 use numpy::IntoPyArray;
@@ -67,20 +67,12 @@ impl Result {
         let columns = PyDict::new(py);
         columns.set_item("size", (map.frame[0], map.frame[1]))?;
         columns.set_item("uv", arrays::table(py, pixels)?)?;
-        let phase = map.phase.iter().map(|steps| f64::from(*steps) / phase_steps());
+        let phase = map.phase.iter().map(|steps| f64::from(*steps) / f64::from(STEPS_PER_FRINGE));
         columns.set_item("fringes", phase.collect::<Vec<f64>>().into_pyarray(py))?;
-        let light = map.light.iter().map(|steps| f32::from(*steps) / light_steps());
+        let light = map.light.iter().map(|steps| f32::from(*steps) / STEPS_PER_LEVEL);
         columns.set_item("light_dn", light.collect::<Vec<f32>>().into_pyarray(py))?;
         let sigma = map.sigma_code.iter().map(|code| decode_sigma(*code)).collect::<Vec<f32>>();
         columns.set_item("sigma_rad", (!sigma.is_empty()).then(|| sigma.into_pyarray(py)))?;
         Ok(Some(columns))
     }
-}
-
-fn phase_steps() -> f64 {
-    f64::from(fourdbody_core::data::STEPS_PER_FRINGE)
-}
-
-fn light_steps() -> f32 {
-    f32::from(fourdbody_core::data::STEPS_PER_LEVEL)
 }

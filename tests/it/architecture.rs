@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The tower and the invariants of absence (`ARCHITECTURE.md`), read from the sources: who may name whom.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 fn root() -> PathBuf {
@@ -217,6 +217,28 @@ fn arrows_up(floors: &[String], of: &str, code: &str) -> Vec<String> {
 fn offenders(allowed: impl Fn(&str) -> bool, names: impl Fn(&str) -> bool) -> Vec<String> {
     let wrong = sources().into_iter().filter(|(place, code)| !allowed(place) && names(code));
     wrong.map(|(place, _)| place).collect()
+}
+
+/// The Python package is a workspace of its own; its points are those of the program only with the same crates.
+#[test]
+fn the_python_package_is_built_of_the_same_crates() {
+    let versions = |lock: &str| -> BTreeMap<String, BTreeSet<String>> {
+        let text = std::fs::read_to_string(root().join(lock)).expect("committed");
+        let lock: toml::Table = text.parse().expect("TOML");
+        let mut versions = BTreeMap::<String, BTreeSet<String>>::new();
+        for package in lock["package"].as_array().expect("packages") {
+            let field = |name: &str| package[name].as_str().expect("text").to_owned();
+            versions.entry(field("name")).or_default().insert(field("version"));
+        }
+        versions
+    };
+    let (program, package) = (versions("Cargo.lock"), versions("python/Cargo.lock"));
+    let others: Vec<_> = package
+        .iter()
+        .filter(|(name, own)| program.get(*name).is_some_and(|versions| !own.is_subset(versions)))
+        .collect();
+    assert!(others.is_empty(), "run `cargo update --precise` in python/ for {others:?}");
+    assert!(package.keys().filter(|name| program.contains_key(*name)).count() > 20, "they share crates");
 }
 
 #[test]
