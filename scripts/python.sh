@@ -16,7 +16,7 @@ wheel=$(ls target/wheels/*.whl)
 for python in ${PYTHONS:-python3 python3.10 python3.13}; do
     "$python" --version >/dev/null 2>&1 || continue
     # What is there has the wheel of another build.
-    venv=target/python-test/$(basename "$python")
+    venv=target/python-test/$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
     rm -rf "$venv"
     "$python" -m venv "$venv"
     "$venv/bin/pip" install --quiet --disable-pip-version-check "$wheel" pytest==9.2.0 mcap==1.6.0 mcap-protobuf-support==0.5.3 \

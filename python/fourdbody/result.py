@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 
 from . import _native
@@ -38,7 +39,7 @@ class Result:
         """The merged clouds, in order; each is made when it is its turn."""
         return (self.cloud(trigger) for trigger in self.triggers)
 
-    @property
+    @cached_property
     def calibration(self) -> Calibration:
         """The calibration that the result was made with."""
         return Calibration(self.path / "calibration.json")

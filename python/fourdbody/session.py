@@ -108,9 +108,12 @@ class Session:
         return json.loads(self._native.verify())
 
     @property
-    def verdict(self) -> dict[str, dict]:
-        """The verdict of each node, counted from its records as `verify` counts it."""
-        return {one["node"]: one["verdict"] for one in self.verify()["recordings"]}
+    def verdict(self) -> dict[str, dict | None]:
+        """The verdict that each node has stored: outcomes by camera; None where it did not finish its recording.
+
+        `verify` counts it anew and compares.
+        """
+        return json.loads(self._native.verdicts())
 
     def _check(self, camera: str) -> None:
         if camera not in self.cameras:

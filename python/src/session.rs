@@ -5,7 +5,7 @@ use crate::error::{OrRaise, raise};
 use fourdbody_core::base::ids::{CameraId, TriggerIndex};
 use fourdbody_core::base::{Exit, Fault};
 use fourdbody_core::data::FrameSource;
-use fourdbody_record::{SessionReader, TimeCodeLine, open_each, verify};
+use fourdbody_record::{RecordingReader, SessionReader, TimeCodeLine, open_each, verify};
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -120,6 +120,12 @@ impl Session {
     /// The rig file that the session was recorded with.
     fn rig(&self) -> String {
         self.reader.recordings().first().map_or_else(String::new, |one| one.header.rig_text.clone())
+    }
+
+    /// The stored verdict of each node as JSON; null where the recording was not finished.
+    fn verdicts(&self) -> String {
+        let of = |one: &RecordingReader| (one.header.node.to_string(), serde_json::json!(one.verdict));
+        serde_json::Value::Object(self.reader.recordings().iter().map(of).collect()).to_string()
     }
 
     /// The events of all nodes as JSON, in order of time.

@@ -73,7 +73,8 @@ def test_gaps_are_false_and_have_their_cause(session):
 
 def test_the_verdict_and_the_events_are_those_of_the_nodes(session):
     report = session.verify()
-    assert {one["node"] for one in report["recordings"]} == set(session.nodes)
+    assert {one["node"]: one["verdict"] for one in report["recordings"]} == session.verdict
+    assert set(session.verdict) == set(session.nodes)
     assert all(event["node"] in session.nodes and event["kind"] for event in session.events())
 
 
