@@ -32,6 +32,7 @@ fn half_a_ball(side: f32) -> Cloud {
                 cloud.normal.push([x, y, z].map(|x| x / RADIUS));
                 cloud.intensity.push(f32::from(u) / 150.0);
                 cloud.pixel.push([u + 400, v + 300]);
+                cloud.sigma_m.push(1e-4 * (1.0 + f32::from(v)));
             }
         }
     }
@@ -68,6 +69,7 @@ fn expected_bytes(cloud: &Cloud) -> Vec<u8> {
         floats.for_each(|x| bytes.extend(x.to_le_bytes()));
         cloud.pixel[i].iter().for_each(|x| bytes.extend(x.to_le_bytes()));
         bytes.push(cloud.camera[i]);
+        bytes.extend(cloud.sigma_m[i].to_le_bytes());
     }
     bytes
 }
@@ -412,12 +414,13 @@ fn the_readers_scripts_run() {
     let check = "import sys, types, runpy, numpy as np\n\
         sys.path.insert(0, sys.argv[1])\n\
         import open_numpy\n\
-        kind = np.dtype([('p', '<f4', 3), ('i', '<f4'), ('n', '<f4', 3), ('uv', '<u2', 2), ('c', 'u1')])\n\
+        kind = np.dtype([('p', '<f4', 3), ('i', '<f4'), ('n', '<f4', 3), ('uv', '<u2', 2), ('c', 'u1'), ('s', '<f4')])\n\
         e = np.fromfile(sys.argv[4], kind)\n\
         n = 0\n\
         for n, (t, c) in enumerate(open_numpy.clouds(sys.argv[2]), 1):\n\
         \x20   assert all(np.array_equal(c[a], e['p'][:, k]) for k, a in enumerate('xyz')) and np.array_equal(c['camera'], e['c'])\n\
         \x20   assert all(np.array_equal(c['normal_' + a], e['n'][:, k]) for k, a in enumerate('xyz'))\n\
+        \x20   assert np.array_equal(c['sigma'], e['s']) and all(np.array_equal(c[a], e['uv'][:, k]) for k, a in enumerate('uv'))\n\
         assert n == 3, n\n\
         one = [t for t, _ in open_numpy.clouds(sys.argv[2], '/cloud', 8_333_333, 8_333_334)]\n\
         assert one == [8_333_333], one\n\

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-POINT = np.dtype([("p", "<f4", 3), ("i", "<f4"), ("n", "<f4", 3), ("uv", "<u2", 2), ("camera", "u1")])
+POINT = np.dtype([("p", "<f4", 3), ("i", "<f4"), ("n", "<f4", 3), ("uv", "<u2", 2), ("camera", "u1"), ("sigma", "<f4")])
 CAMERAS = {0: "h0_up", 3: "h1_low"}
 
 
@@ -33,6 +33,7 @@ def table(get, expected, what):
     same(get("intensity"), expected["i"], f"{what} intensity")
     same(np.stack([get("u"), get("v")], 1), expected["uv"], f"{what} pixels")
     same(get("camera"), expected["camera"], f"{what} camera")
+    same(get("sigma"), expected["sigma"], f"{what} uncertainty")
 
 
 def clouds(directory):
@@ -58,7 +59,7 @@ def clouds(directory):
     same(np.stack([pcd[f"normal_{axis}"] for axis in "xyz"], 1), expected["n"], "pcd normals")
 
     xyz = np.loadtxt(f"{merged}.xyz", dtype=np.float32)
-    names = "x y z nx ny nz intensity u v camera".split()
+    names = "x y z nx ny nz intensity u v camera sigma".split()
     table(lambda name: xyz[:, names.index(name)], expected, "xyz")
     same(xyz[:, 3:6], expected["n"], "xyz normals")
 
@@ -83,6 +84,7 @@ def clouds(directory):
     same(attribute(gltf, attributes["_INTENSITY"])[:, 0], expected["i"], "glb intensity")
     same(attribute(gltf, attributes["_PIXEL"]), expected["uv"], "glb pixels")
     same(attribute(gltf, attributes["_CAMERA"])[:, 0], expected["camera"], "glb camera")
+    same(attribute(gltf, attributes["_SIGMA"])[:, 0], expected["sigma"], "glb uncertainty")
     # A viewer sees z up as y up.
     turned = trimesh.load(f"{merged}.glb").to_geometry().vertices
     x, y, z = expected["p"].T

@@ -3,7 +3,7 @@
 //!
 //! The numbers are those of the world frame, whose z is up; glTF's y is up, so that the node that holds the shape
 //! turns it. Beside `POSITION` and `NORMAL` points have `COLOR_0` (the intensity as a grey, for viewers),
-//! `_INTENSITY` (float), and where they are known `_PIXEL` (u, v) and `_CAMERA`.
+//! `_INTENSITY` (float), and where they are known `_PIXEL` (u, v), `_CAMERA` and `_SIGMA` (float, m).
 
 use super::shape::Shape;
 use serde_json::{Value, json};
@@ -22,8 +22,8 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 const POINTS: u32 = 0;
 const TRIANGLES: u32 = 4;
 
-/// Bytes of a vertex: position, normal, intensity, colour, pixel, camera and three of padding.
-const STRIDE: usize = 12 + 12 + 4 + 4 + 4 + 4;
+/// Bytes of a vertex: position, normal, intensity, colour, pixel, camera and three of padding, uncertainty.
+const STRIDE: usize = 12 + 12 + 4 + 4 + 4 + 4 + 4;
 
 /// Writes GLB. An error where the buffer would be longer than the format can state (4 GiB).
 pub(crate) fn write(out: impl Write, shape: &Shape<'_>) -> io::Result<()> {
@@ -66,6 +66,7 @@ fn pack(shape: &Shape<'_>, i: usize, out: &mut Vec<u8>) {
     let pixel = cloud.pixel.get(i).copied().unwrap_or_default();
     pixel.iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
     out.extend_from_slice(&[cloud.camera.get(i).copied().unwrap_or(crate::data::NO_CAMERA), 0, 0, 0]);
+    out.extend_from_slice(&cloud.sigma_m.get(i).copied().unwrap_or_default().to_le_bytes());
 }
 
 fn document(shape: &Shape<'_>, length: usize) -> Value {
@@ -96,6 +97,7 @@ fn document(shape: &Shape<'_>, length: usize) -> Value {
     let pixels = shape.cloud.pixel.len() == shape.cloud.len();
     optional("_PIXEL", pixels, accessor(shape, 32, UNSIGNED_SHORT, "VEC2"));
     optional("_CAMERA", shape.cloud.is_merged(), accessor(shape, 36, UNSIGNED_BYTE, "SCALAR"));
+    optional("_SIGMA", !shape.cloud.sigma_m.is_empty(), accessor(shape, 40, FLOAT, "SCALAR"));
     let mut primitive = json!({"attributes": attributes, "mode": POINTS, "material": 0});
     if !shape.triangles.is_empty() {
         views.push(json!({"buffer": 0, "byteOffset": vertices, "byteLength": length - vertices, "target": ELEMENT_ARRAY_BUFFER}));

@@ -7,13 +7,17 @@
 //! | `/cloud` | `foxglove.PointCloud` | the merged cloud, with the number of its camera at every point |
 //! | `/cloud/CAMERA` | `foxglove.PointCloud` | a directional cloud |
 //!
+//! Points have the fields of PCD files: `x`, `y`, `z`, `intensity`, `normal_x`, `normal_y`, `normal_z`, and where they are
+//! known `u`, `v`, `camera` and `sigma`.
+//!
 //! Existing viewers play `foxglove.PointCloud` in protobuf; its published schema is
 //! <https://github.com/foxglove/foxglove-sdk/blob/main/schemas/proto/foxglove/PointCloud.proto>. The schemas are few
 //! enough to be encoded here by hand.
 
 mod schema;
 
-use crate::data::{Cloud, NO_CAMERA};
+use super::shape::{Column, Value};
+use crate::data::Cloud;
 use crate::record::protobuf::{self, MessageWriter};
 use mcap::records::MessageHeader;
 use std::collections::BTreeMap;
@@ -30,23 +34,9 @@ const NORMAL_STEP: f32 = 1.0 / 256.0;
 /// What intensities are rounded to where places are: a quarter of a grey value.
 const INTENSITY_STEP: f32 = 1.0 / 1024.0;
 
-/// Bytes of one packed point: x, y, z, intensity, nx, ny, nz (float), camera (uint8).
-const STRIDE: usize = 29;
-
-/// Packed fields: name, offset and number of `foxglove.PackedElementField.NumericType`.
-const FIELDS: [(&str, u32, u64); 8] = [
-    ("x", 0, FLOAT32),
-    ("y", 4, FLOAT32),
-    ("z", 8, FLOAT32),
-    ("intensity", 12, FLOAT32),
-    ("normal_x", 16, FLOAT32),
-    ("normal_y", 20, FLOAT32),
-    ("normal_z", 24, FLOAT32),
-    ("camera", 28, UINT8),
-];
-/// `foxglove.PackedElementField.NumericType` of an unsigned byte.
+/// Numbers of `foxglove.PackedElementField.NumericType`: unsigned integers of 8 and 16 bits, floats of 32.
 const UINT8: u64 = 1;
-/// `foxglove.PackedElementField.NumericType` of a float of 32 bits.
+const UINT16: u64 = 3;
 const FLOAT32: u64 = 7;
 
 /// How the clouds of a sequence are rounded and compressed.
@@ -61,18 +51,28 @@ pub struct Options {
 impl Options {
     /// Makes the `foxglove.PointCloud` of a cloud.
     pub fn encode(self, message: &mut Vec<u8>, time_ns: u64, cloud: &Cloud) {
-        start_message(message, time_ns, cloud.len());
+        let columns = Column::of(cloud);
+        start_message(message, time_ns, cloud.len(), &columns);
         // Whole steps of a power of two leave the last bytes of a float empty.
         let place_step = self.step_m.map(|step_m| step_m.log2().floor().exp2() as f32);
-        let rounded = |x: f32, step: f32| if place_step.is_some() { (x / step).round() * step } else { x };
-        let points = cloud.position_m.iter().zip(&cloud.normal).zip(&cloud.intensity);
-        for (i, ((position, normal), intensity)) in points.enumerate() {
-            let [x, y, z] = position.map(|x| rounded(x, place_step.unwrap_or(1.0)));
-            let [nx, ny, nz] = normal.map(|x| rounded(x, NORMAL_STEP));
-            for x in [x, y, z, rounded(*intensity, INTENSITY_STEP), nx, ny, nz] {
-                message.extend_from_slice(&x.to_le_bytes());
+        let step = |column: &Column| match column.pcd {
+            "x" | "y" | "z" => place_step,
+            "intensity" => place_step.map(|_| INTENSITY_STEP),
+            "normal_x" | "normal_y" | "normal_z" => place_step.map(|_| NORMAL_STEP),
+            _ => None,
+        };
+        let columns: Vec<_> = columns.iter().map(|column| (column, step(column))).collect();
+        for i in 0..cloud.len() {
+            for (column, step) in &columns {
+                match (column.value)(cloud, i) {
+                    Value::Float(x) => {
+                        let x = step.map_or(x, |step| (x / step).round() * step);
+                        message.extend_from_slice(&x.to_le_bytes());
+                    }
+                    Value::Short(x) => message.extend_from_slice(&x.to_le_bytes()),
+                    Value::Byte(x) => message.push(x),
+                }
             }
-            message.push(cloud.camera.get(i).copied().unwrap_or(NO_CAMERA));
         }
     }
 }
@@ -149,7 +149,8 @@ impl<W: Write + Seek> SequenceWriter<W> {
 }
 
 /// All of a message but its points.
-fn start_message(out: &mut Vec<u8>, time_ns: u64, points: usize) {
+fn start_message(out: &mut Vec<u8>, time_ns: u64, points: usize, columns: &[Column]) {
+    let stride: usize = columns.iter().map(Column::bytes).sum();
     let identity = MessageWriter::default()
         .message(1, MessageWriter::default())
         .message(2, MessageWriter::default().double(4, 1.0));
@@ -158,18 +159,26 @@ fn start_message(out: &mut Vec<u8>, time_ns: u64, points: usize) {
         .message(1, timestamp)
         .bytes(2, b"world")
         .message(3, identity)
-        .fixed32(4, STRIDE as u32);
-    for (name, offset, kind) in FIELDS {
-        let field = MessageWriter::default().bytes(1, name.as_bytes()).fixed32(2, offset).varint(3, kind);
+        .fixed32(4, stride as u32);
+    let mut offset = 0;
+    for column in columns {
+        let kind = match column.bytes() {
+            1 => UINT8,
+            2 => UINT16,
+            _ => FLOAT32,
+        };
+        let field =
+            MessageWriter::default().bytes(1, column.pcd.as_bytes()).fixed32(2, offset).varint(3, kind);
         head = head.message(5, field);
+        offset += column.bytes() as u32;
     }
     out.clear();
-    out.extend(head.bytes_header(6, (points * STRIDE) as u64).into_bytes());
+    out.extend(head.bytes_header(6, (points * stride) as u64).into_bytes());
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Options, STRIDE, SequenceWriter};
+    use super::{Options, SequenceWriter};
     use crate::data::Cloud;
     use std::io::Cursor;
 
@@ -180,7 +189,7 @@ mod tests {
             intensity: vec![0.5],
             pixel: vec![[3, 4]],
             camera: vec![6],
-            sigma_m: Vec::new(),
+            sigma_m: vec![0.25],
         }
     }
 
@@ -189,16 +198,17 @@ mod tests {
         let mut writer = SequenceWriter::new(Cursor::new(Vec::new())).expect("memory");
         writer.push(2_000_000_001, &cloud()).expect("memory");
         let bytes = writer.message.clone();
-        // timestamp {1: 2, 2: 1}, frame_id "world", pose {1: {}, 2: {4: 1.0}}, point_stride 29.
+        // timestamp {1: 2, 2: 1}, frame_id "world", pose {1: {}, 2: {4: 1.0}}, point_stride 37.
         let head = [10, 4, 8, 2, 16, 1, 18, 5, b'w', b'o', b'r', b'l', b'd', 26, 13, 10, 0, 18, 9, 33];
         assert_eq!(&bytes[..head.len()], head);
-        let stride = [0, 0, 0, 0, 0, 0, 0xf0, 0x3f, 37, 29, 0, 0, 0];
+        let stride = [0, 0, 0, 0, 0, 0, 0xf0, 0x3f, 37, 37, 0, 0, 0];
         assert_eq!(&bytes[head.len()..head.len() + stride.len()], stride);
         // The first field: {1: "x", 2: 0, 3: 7}.
         let field = [42, 10, 10, 1, b'x', 21, 0, 0, 0, 0, 24, 7];
         assert_eq!(&bytes[head.len() + stride.len()..][..field.len()], field);
-        assert_eq!(bytes[bytes.len() - 31..][..2], [50, 29]);
-        assert_eq!(bytes.last(), Some(&6));
+        // {6: 37 bytes}, at whose end are u, v, camera and sigma.
+        assert_eq!(bytes[bytes.len() - 39..][..2], [50, 37]);
+        assert_eq!(bytes[bytes.len() - 9..], [3, 0, 4, 0, 6, 0, 0, 0x80, 0x3e]);
     }
 
     #[test]
@@ -206,12 +216,12 @@ mod tests {
         let exact = Cloud { position_m: vec![[1.234_567, -0.765_432, 0.1]], ..cloud() };
         let mut message = Vec::new();
         Options { step_m: Some(2e-5), ..Options::default() }.encode(&mut message, 0, &exact);
-        let point = &message[message.len() - STRIDE..];
+        let point = &message[message.len() - 37..];
         for (k, x) in exact.position_m[0].into_iter().enumerate() {
             let bytes: [u8; 4] = point[4 * k..4 * k + 4].try_into().expect("four bytes");
             assert!((f32::from_le_bytes(bytes) - x).abs() <= 1e-5 && bytes[0] & 0x3f == 0, "{x}: {bytes:?}");
         }
-        assert_eq!(point[STRIDE - 1], 6);
+        assert_eq!(point[32], 6);
     }
 
     #[test]
