@@ -17,11 +17,12 @@ except ImportError:
     DecoderFactory = None
 
 FLOAT32 = 7
+UINT16 = 3
 UINT8 = 1
 FIELDS = [(name, 4 * i, FLOAT32) for i, name in enumerate(["x", "y", "z", "intensity", "normal_x", "normal_y", "normal_z"])]
-FIELDS.append(("camera", 28, UINT8))
-POINT = struct.Struct("<7fB")
-assert POINT.size == 29
+FIELDS += [("u", 28, UINT16), ("v", 30, UINT16), ("camera", 32, UINT8), ("sigma", 33, FLOAT32)]
+POINT = struct.Struct("<7f2HBf")
+assert POINT.size == 37
 
 path = sys.argv[1]
 found = {"messages": 0, "points": None, "last": None}

@@ -188,8 +188,8 @@ fn a_sequence_of_clouds_reads_back_in_python() {
             normal: numbers.clone().map(|_| [0.6, 0.0, -0.8]).collect(),
             intensity: numbers.clone().map(|_| 0.25).collect(),
             pixel: numbers.clone().map(|i| [i, k]).collect(),
-            camera: numbers.map(|i| (i % 8) as u8).collect(),
-            sigma_m: Vec::new(),
+            camera: numbers.clone().map(|i| (i % 8) as u8).collect(),
+            sigma_m: numbers.map(|_| 0.0625).collect(),
         };
         writer.push(1_790_000_000_000_000_000 + u64::from(k) * 8_333_333, &cloud).expect("written");
     }
@@ -204,5 +204,5 @@ fn a_sequence_of_clouds_reads_back_in_python() {
         return;
     };
     assert_eq!(points, &[100, 101, 102]);
-    assert_eq!(found["last"], serde_json::json!([50.5, 2.0, -1.25, 0.25, 0.6, 0.0, -0.8, 5]));
+    assert_eq!(found["last"], serde_json::json!([50.5, 2.0, -1.25, 0.25, 0.6, 0.0, -0.8, 101, 2, 5, 0.0625]));
 }
