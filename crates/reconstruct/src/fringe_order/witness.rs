@@ -7,7 +7,7 @@
 //! that continue each other with equal labels: a few places of it are enough. It bears out what continues it beyond a gap,
 //! such as the next stripe of a shirt: one fringe off that would not continue it.
 
-use super::drift::{Differences, TERMS};
+use super::drift::Differences;
 use super::evidence::{CameraWeights, NO_ORDER, OrderTable, ln, odds, wrapped};
 use super::inference::Field;
 use super::observation::{Observations, Observed, PLACES};
@@ -60,10 +60,14 @@ pub fn require(field: &mut Field<'_>, scenes: &[Scene<'_>], known: &OrderTable, 
     for surface in members.chunk_by(|a, b| a.0 == b.0) {
         let mut sum = found[surface[0].0 as usize];
         for places in surface.chunks(PLACES) {
-            if sum >= ENOUGH || looks.is_vain {
+            if sum >= ENOUGH {
                 break;
             }
-            sum += looks.at(field, places.iter().map(|&(_, node)| node as usize));
+            let patches = || places.iter().map(|&(_, node)| field.squares.all[node as usize].patch as usize);
+            sum += looks.of_other_heads(field, patches());
+            if sum < ENOUGH {
+                sum += looks.of_mate(field, patches());
+            }
         }
         if sum >= ENOUGH {
             surface.iter().for_each(|&(_, node)| borne_out[node as usize] = true);
@@ -147,8 +151,6 @@ struct Looks<'a> {
     others: Vec<[bool; LANES]>,
     /// The other camera of the head.
     mate: Option<Mate<'a>>,
-    /// There is no other camera.
-    is_vain: bool,
 }
 
 impl<'a> Looks<'a> {
@@ -167,22 +169,24 @@ impl<'a> Looks<'a> {
             weights,
             others: (0..blocks).map(|block| std::array::from_fn(|i| other(block * LANES + i))).collect(),
             mate: Mate::new(scenes, view, weights, known),
-            is_vain: scenes.len() < 2,
         }
     }
 
-    /// The sum of what some nodes' places say.
-    fn at(&mut self, field: &Field<'_>, nodes: impl Iterator<Item = usize>) -> f32 {
+    /// The sum of what the other camera of the head says for the labels of some patches.
+    fn of_mate(&mut self, field: &Field<'_>, patches: impl Iterator<Item = usize>) -> f32 {
+        self.mate.as_mut().map_or(0.0, |mate| patches.map(|i| alone(mate, field, i)).sum())
+    }
+
+    /// The sum of what the cameras of other heads say for the labels of some patches, [`PLACES`] at most.
+    fn of_other_heads(&mut self, field: &Field<'_>, patches: impl Iterator<Item = usize>) -> f32 {
         let mut rays = [Ray { direction: [0.0; 3], inverse_depth: 0.0 }; PLACES];
         let (mut sights, mut terms, mut count) = ([Observed::NONE; PLACES], [[0.0; 3]; PLACES], 0);
-        let mut sum = 0.0;
-        for node in nodes {
-            let i = field.squares.all[node].patch as usize;
+        for i in patches {
             rays[count] = field.place(i);
             terms[count] = Differences::terms_of(field.scene.pixel(&field.scene.patches.all[i]));
-            sum += self.mate.as_mut().map_or(0.0, |mate| alone(mate, field, i, &terms[count]));
             count += 1;
         }
+        let mut sum = 0.0;
         for (block, (weights, others)) in self.weights.iter().zip(&self.others).enumerate() {
             let nothing = self.looks.at(field.number, block, &rays[..count], &mut sights);
             let differences = &self.known.differences[field.number][block];
@@ -206,7 +210,7 @@ impl<'a> Looks<'a> {
 }
 
 /// What the other camera of the head says for the label of a patch: nothing where it does not contradict all others.
-fn alone(mate: &mut Mate<'_>, field: &Field<'_>, i: usize, terms: &[f32; TERMS]) -> f32 {
+fn alone(mate: &mut Mate<'_>, field: &Field<'_>, i: usize) -> f32 {
     let (patch, table) = (&field.scene.patches.all[i], field.scene.projection.table);
     let (u, v) = field.scene.pixel(patch);
     let line = table.sightline(u, v);
@@ -216,11 +220,12 @@ fn alone(mate: &mut Mate<'_>, field: &Field<'_>, i: usize, terms: &[f32; TERMS])
     for block in (0..count).step_by(PLACES) {
         inverse.extend(table.inverse_depths::<PLACES>(&line, first + block as f32));
     }
-    mate.judge::<false>(line.direction, first, &inverse, terms);
+    let terms = Differences::terms_of((u, v));
+    mate.judge::<false>(line.direction, first, &inverse, &terms);
     let says = -mate.costs[label] - CHANCE;
     // Its own orders were found with these labels: they are no reason against the others. It agrees nowhere where it sees
     // no surface, but a dark part of one looks so, too: of the neighbouring labels it has to see what it contradicts.
-    mate.judge::<true>(line.direction, first, &inverse, terms);
+    mate.judge::<true>(line.direction, first, &inverse, &terms);
     let contradicts = |l: usize| {
         let sees_surface = mate.costs[l] < 0.0;
         l == label || (-mate.costs[l] <= CHANCE && (sees_surface || l.abs_diff(label) > 1))
