@@ -122,9 +122,8 @@ class Session:
 
 def _table(columns: dict) -> np.ndarray:
     """A structured array of columns."""
-    arrays = {name: np.asarray(values) for name, values in columns.items()}
-    of_text = {name: array.astype("U1") if not array.size else array for name, array in arrays.items()}
-    table = np.empty(len(arrays["index"]), [(name, array.dtype) for name, array in of_text.items()])
+    arrays = {name: np.array(values, "U") if isinstance(values, list) else values for name, values in columns.items()}
+    table = np.empty(len(arrays["index"]), [(name, array.dtype) for name, array in arrays.items()])
     for name, array in arrays.items():
         table[name] = array
     return table

@@ -85,9 +85,8 @@ impl Calibration {
 /// The rows of an array with N columns.
 fn rows<const N: usize>(py: Python<'_>, array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; N]>> {
     let view = array.as_array();
-    let row = |row: numpy::ndarray::ArrayView1<'_, f64>| -> Option<[f64; N]> {
-        row.iter().copied().collect::<Vec<f64>>().try_into().ok()
-    };
-    let rows: Option<Vec<[f64; N]>> = view.rows().into_iter().map(row).collect();
-    rows.ok_or_else(|| format!("expected {N} columns, found {}", view.ncols())).or_raise(py, Exit::Usage)
+    if view.ncols() != N {
+        return Err(format!("expected {N} columns, found {}", view.ncols())).or_raise(py, Exit::Usage);
+    }
+    Ok(view.rows().into_iter().map(|row| std::array::from_fn(|i| row[i])).collect())
 }
