@@ -7,11 +7,11 @@ use crate::frame_set::{self, Photograph};
 use fourdbody::base::image::Plane;
 use fourdbody::config::Rig;
 use fourdbody::data::Calibration;
-use fourdbody::geometry::Ray;
 use fourdbody::geometry::pattern::Marker;
+use fourdbody::geometry::{Pose, Ray};
 use fourdbody::reconstruct::outcome::Reconstruction;
 use fourdbody::reconstruct::triangulate::camera_projector::CameraProjector;
-use nalgebra::{Point3, Unit, Vector3};
+use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 use std::path::Path;
 
 /// A round bar with flat ends.
@@ -148,5 +148,20 @@ fn fewer_cameras_make_fewer_points_and_no_wrong_ones() {
             wrong * 5_000 <= points && points >= least,
             "cameras {set:?}: {points} points, {wrong} wrong"
         );
+    }
+}
+
+/// A head whose projector turned: its two cameras agree with each other, and other heads' cameras with neither.
+#[test]
+fn no_points_come_from_a_calibration_whose_projector_has_turned() {
+    for degree in [0.03f64, 0.06, 0.1, 0.15, 0.2, 0.3, 0.5] {
+        let mut all = photographs(Marker::ZeroMean { amplitude: 0.3 });
+        for photograph in all.iter_mut().filter(|x| x.head == 3) {
+            let device = &mut photograph.pair.projector.world_from_device;
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), degree.to_radians());
+            *device = Pose::new(device.isometry() * turn);
+        }
+        let points: usize = frame_set::clouds(&all).iter().map(|x| x.cloud.position_m.len()).sum();
+        assert_eq!(points, 0, "turned by {degree} degree");
     }
 }

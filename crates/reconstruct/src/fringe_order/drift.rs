@@ -6,12 +6,14 @@
 //! second pass. How far they scatter about it is how near the two can be expected to agree.
 
 use super::evidence::{NO_ORDER, OrderTable, SAMPLE, is_sample};
+use super::far_off::Amounts;
 use super::inference::Field;
 use super::observation::{Observations, Observed, PLACES};
 use super::projection::{LANES, Ray};
 use super::scene::Scene;
 use super::unwrapped_frame::View;
 use nalgebra::{Matrix3, Vector3};
+use std::array::from_fn;
 use std::f32::consts::{PI, TAU};
 
 /// Terms of a difference: the same everywhere, along the row, along the column.
@@ -24,7 +26,7 @@ const UNIT_PX: f32 = 1000.0;
 const LEAST_PLACES: usize = 30;
 
 /// Places that a camera is compared with others at, over all pairs, before anything is concluded from its differences.
-const POOL_PLACES: f32 = 120.0;
+pub(super) const POOL_PLACES: f32 = 120.0;
 
 /// How many places the expectation that differences are small counts as, in the fit of the plane.
 const PRIOR_PLACES: f64 = 10.0;
@@ -77,6 +79,8 @@ pub struct Differences {
     pub middle: [f32; LANES],
     /// How many places these are; 0 where there are too few.
     pub places: [u32; LANES],
+    /// Of cameras of other heads: how often they differ by which amount, whatever their orders are.
+    pub amounts: [Amounts; LANES],
 }
 
 impl Differences {
@@ -105,6 +109,11 @@ impl Pool {
     fn mean(&self) -> f32 {
         if self.places >= POOL_PLACES { self.middle / self.places } else { 0.0 }
     }
+
+    /// That of a camera that is far off.
+    fn far_off(by_rad: f32) -> Self {
+        Self { places: POOL_PLACES, middle: POOL_PLACES * by_rad }
+    }
 }
 
 /// How far the cameras of one instant agree. Every pair counts by its places: few of them may all be wrong.
@@ -122,12 +131,20 @@ impl Agreement {
 
     fn of_heads(differences: &[Vec<Differences>], one_head: impl Fn(usize, usize) -> bool) -> Self {
         let mut pools = vec![[Pool::default(); 2]; differences.len()];
+        let mut amounts = vec![Amounts::default(); differences.len()];
         for (view, blocks) in differences.iter().enumerate() {
             let lanes = blocks.iter().flat_map(|x| x.places.into_iter().zip(x.middle));
             for (camera, (places, middle)) in lanes.enumerate().filter(|x| x.1.0 > 0) {
                 for i in [view, camera] {
                     pools[i][usize::from(!one_head(view, camera))].add(places, middle);
                 }
+            }
+            let seen = blocks.iter().flat_map(|x| &x.amounts);
+            amounts.iter_mut().zip(seen).for_each(|(sum, seen)| sum.add(seen));
+        }
+        for (pools, amounts) in pools.iter_mut().zip(amounts) {
+            if let Some(by_rad) = amounts.far_off_rad() {
+                *pools = [Pool::default(), Pool::far_off(by_rad)];
             }
         }
         Self { pools }
@@ -189,13 +206,19 @@ pub fn of(
     let (mut out, mut rests) = (Vec::new(), Vec::new());
     for block in 0..scenes.len().div_ceil(LANES) {
         let mut seen: [Vec<Seen>; LANES] = Default::default();
+        let mut found = Differences::default();
+        let other_head: [bool; LANES] =
+            from_fn(|c| scenes.get(block * LANES + c).is_some_and(|scene| scene.head != own.head));
         for places in certain.chunks(PLACES) {
             let mut rays = [Ray { direction: [0.0; 3], inverse_depth: 0.0 }; PLACES];
             let mut sights = [Observed::NONE; PLACES];
             rays.iter_mut().zip(places).for_each(|(ray, &i)| *ray = field.place(i));
-            looks.at(field.number, block, &rays[..places.len()], &mut sights);
+            let nothing = looks.at(field.number, block, &rays[..places.len()], &mut sights);
             for (sight, &i) in sights.iter().zip(places) {
                 let terms = Differences::terms_of(own.pixel(&own.patches.all[i]));
+                for c in (0..LANES).filter(|&c| other_head[c] && sight.node[c] < nothing) {
+                    found.amounts[c].count(sight.ahead[c]);
+                }
                 for (seen, (node, ahead)) in seen.iter_mut().zip(sight.node.iter().zip(sight.ahead)) {
                     let turns = known.turns.get(*node as usize).copied().unwrap_or(NO_ORDER);
                     let off = ahead + TAU * turns as f32;
@@ -205,7 +228,6 @@ pub fn of(
                 }
             }
         }
-        let mut found = Differences::default();
         for (c, seen) in seen.iter().enumerate().filter(|x| x.1.len() >= LEAST_PLACES) {
             let (terms, scale) = fit(seen);
             for (k, term) in terms.into_iter().enumerate() {

@@ -10,6 +10,7 @@
 //! observation     what they see there
 //! same_head       the same for the other camera of the head, which is compared first
 //! evidence        what that costs each fringe order of a patch
+//! far_off         cameras whose head moved so far that hardly any of their orders is certain
 //! drift           by how much two cameras differ where both surely see one surface
 //! contradictions  places where cameras differ though their devices stand as they stood
 //! inference       the orders that cost least together, and by how much they lead
@@ -27,6 +28,7 @@
 mod contradictions;
 mod drift;
 mod evidence;
+mod far_off;
 mod inference;
 mod links;
 mod lookup;

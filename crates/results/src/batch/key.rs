@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 /// The algorithm's number: raised whenever the same frames may give other points, or a file other bytes than its
 /// comments. `it::reused` holds the digest of a small scene's clouds beside it, and fails when one changes without
 /// the other.
-pub const ALGORITHM: u32 = 38;
+pub const ALGORITHM: u32 = 39;
 
 /// Everything that the clouds of a directory share. A run makes the key of its plan, claims the directory with it
 /// before the first cloud, and refuses a directory that has another one; the key stays there as `reconstruct.json` as
