@@ -74,6 +74,7 @@ mod hsu;
 mod hsu_clock;
 #[cfg(feature = "aravis")]
 mod identity;
+mod images_of_others;
 #[cfg(feature = "aravis")]
 mod input_lines;
 #[cfg(feature = "aravis")]
