@@ -48,7 +48,7 @@ pub enum Place {
 /// What the files of a program state.
 #[derive(Debug, Clone)]
 pub struct Foreign {
-    /// Whose conventions they follow.
+    /// The program whose conventions they follow.
     pub program: &'static str,
     pub devices: Vec<ForeignDevice>,
     /// The unit of length, mm, where the files state it.
