@@ -320,4 +320,5 @@ def main():
     args.out.write_text(json.dumps(report, indent=2) + "\n")
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `fourdbody calibration check`: do the devices still stand where they stood when they were calibrated?
+//! `fourdbody calibration check`: do the devices still stand where they stood when they were calibrated? And `import`
+//! ([`super::calibration_import`]).
 
+use super::calibration_import::Import;
 use super::failure::{Failure, number_in, print, tell_lost};
 use super::progress::Progress;
 use super::reconstruct::open_source;
@@ -17,7 +19,7 @@ use crate::reconstruct::fringe_order::MostDifference;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-/// Check a calibration while it is in use.
+/// Check a calibration while it is in use, or make one of another program's.
 #[derive(clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -27,6 +29,7 @@ pub struct Args {
 #[derive(clap::Subcommand)]
 enum What {
     Check(Check),
+    Import(Import),
 }
 
 /// Measure how each camera, projector and head has moved since the calibration, from a session of any body that fills the
@@ -73,8 +76,10 @@ struct Check {
 const ROUNDS: usize = 5;
 
 pub fn run(args: &Args) -> Result<Exit, Failure> {
-    let What::Check(check) = &args.what;
-    check.run()
+    match &args.what {
+        What::Check(check) => check.run(),
+        What::Import(import) => import.run(),
+    }
 }
 
 /// A session and the calibration that it is compared with.

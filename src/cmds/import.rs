@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `fourdbody import`: image sequences of other recorders become a session.
 //!
-//! `DIR/CAMERA/INDEX.png`, index = trigger index. Everything is checked before anything is written, and the
-//! session appears under its name only when it is whole.
+//! `DIR/CAMERA/INDEX.png`, index = trigger index, or as a pattern has it. Everything is checked before anything is
+//! written, and the session appears under its name only when it is whole.
 
-use super::failure::{Failure, print};
+use super::failure::{Failure, number_in, print};
 use super::progress::Progress;
 use crate::base::ids::{BlockId, CameraId, NodeId, SessionName, TriggerIndex};
-use crate::base::image::read_png_grey;
+use crate::base::image::Plane;
+use crate::base::photograph::{self, Conversion, ENDINGS, Photograph};
 use crate::base::{Exit, Scratch, regular};
+use crate::batch::image_names::NamePattern;
 use crate::batch::image_tree::{INDEX_END, ImageTree, Images};
 use crate::config::{Rig, RigCamera};
 use crate::record::envelope::pixels_crc;
@@ -26,13 +28,14 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// Turn image sequences of another recorder into a session.
 #[derive(clap::Args)]
 #[command(after_help = "\
-DIR holds a directory per camera of the rig, with 8-bit grey images of the camera's size, named by trigger
-index: DIR/h0_up/0.png, DIR/h0_up/1.png, ... (leading zeros are fine). An index that some camera has and another
-has not becomes a gap record (not_recorded). Other files, and folders without images, are left out and named; two
-files of one index, and images of a camera that the rig has not, are refused.
+DIR holds a directory per camera of the rig, with grey images of the camera's size (PNG, TIFF, BMP, PGM, JPEG),
+named by trigger index: DIR/h0_up/0.png, DIR/h0_up/1.png, ... (leading zeros are fine). An index that some camera has
+and another has not becomes a gap record (not_recorded). Other files, and folders without images, are left out and
+named; two files of one index, and images of a camera that the rig has not, are refused.
 
-Example:
-  fourdbody import --rig config/rig.toml --images shots --out sessions/walk-01")]
+Examples:
+  fourdbody import --rig config/rig.toml --images shots --out sessions/walk-01
+  fourdbody import --rig bench.toml --images shots --pattern '{camera}_{index}' --renumber --scale 4095 --out hand")]
 pub struct Args {
     /// The rig that the images were taken with.
     #[arg(long)]
@@ -40,12 +43,34 @@ pub struct Args {
     /// The directory of image sequences, DIR above.
     #[arg(long)]
     images: PathBuf,
+    /// How the images are named below DIR, without the ending: '{camera}_{index}', '{camera}/frame{index}'. With one
+    /// camera, {camera} may be absent. [default: {camera}/{index}]
+    #[arg(long)]
+    pattern: Option<NamePattern>,
+    /// Number each camera's images from 0, in the order of their numbers; all cameras must have as many.
+    #[arg(long)]
+    renumber: bool,
+    /// The value in the images that becomes 255, where they have more or less than 8 bits: 4095 for 12 bits.
+    #[arg(long, value_name = "VALUE")]
+    #[arg(value_parser = number_in(1e-6..=1e12, "a value above 0"))]
+    scale: Option<f64>,
+    /// Take this channel of colour images. Where a colour filter lies over the sensor, it was interpolated.
+    #[arg(long)]
+    channel: Option<Colour>,
     /// The session's directory; must not exist.
     #[arg(long)]
     out: PathBuf,
     /// Print one JSON object instead of text.
     #[arg(long)]
     json: bool,
+}
+
+/// The channels of a colour image, in their order.
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Colour {
+    Red,
+    Green,
+    Blue,
 }
 
 // What is listed can be recorded.
@@ -61,21 +86,32 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
             format!("{} exists; a session is never overwritten: choose another name", args.out.display());
         return Err(Failure::usage(message));
     }
-    let tree = find_images(&rig, &args.images).map_err(|problems| all_problems(&args.images, &problems))?;
+    let tree = args.find_images(&rig).map_err(|problems| all_problems(&args.images, &problems))?;
     if let Some(left_out) = ImageTree::remark(&tree.left_out) {
         eprintln!("{left_out}");
     }
+    if let Some(remark) = &tree.remark {
+        eprintln!("warning: {remark}");
+    }
+    let conversion =
+        Conversion { scale: args.scale.map(|x| x as f32), channel: args.channel.map(|x| x as usize) };
     let sequences = tree.cameras;
     let triggers = sequences.values().filter_map(|s| s.last_key_value()).map(|(last, _)| last + 1).max();
     let triggers = triggers.unwrap_or(0);
-    check_images(&rig, &sequences).map_err(|problems| all_problems(&args.images, &problems))?;
-    let session = Import { rig: &rig, rig_text: &rig_text, name: &name, sequences: &sequences, triggers };
+    let lossy = check_images(&rig, &sequences, &conversion)
+        .map_err(|problems| all_problems(&args.images, &problems))?;
+    if lossy > 0 {
+        eprintln!("warning: {lossy} images are JPEG, whose compression changes phases: record without it");
+    }
+    let session =
+        Import { rig: &rig, rig_text: &rig_text, name: &name, sequences: &sequences, conversion, triggers };
     // Removed unless it gets its name.
     let partial = Scratch(partial_path(&args.out));
     let verdicts = session.write(&partial.0)?;
     std::fs::rename(&partial.0, &args.out).map_err(|e| Failure::at(&args.out, e))?;
     let value = serde_json::json!({
         "session": args.out, "triggers": triggers, "nodes": verdicts, "left_out": tree.left_out,
+        "lossy": lossy,
     });
     print(args.json, &value, || {
         verdicts.iter().for_each(|(node, verdict)| println!("node {node}: {verdict}"));
@@ -103,35 +139,58 @@ fn all_problems(images: &Path, problems: &[String]) -> Failure {
     Failure::usage(format!("{}: {count} problem{plural}\n  {list}", images.display()))
 }
 
-/// The images of every camera of the rig, and what lies beside them; or everything that is wrong with their names.
-fn find_images(rig: &Rig, images: &Path) -> Result<ImageTree, Vec<String>> {
-    let known: Vec<CameraId> = rig.cameras().map(|(_, camera)| camera.id.clone()).collect();
-    let mut tree = ImageTree::list(images, &known)?;
-    let unknown = tree.cameras.keys().filter(|camera| !known.contains(camera));
-    let names = known.iter().map(CameraId::as_str).collect::<Vec<_>>().join(", ");
-    let problem = |camera: &CameraId| {
-        let path = images.join(camera.as_str());
-        format!("{}: has images, but is no camera of the rig; expected {names}", path.display())
-    };
-    let problems: Vec<String> = unknown.map(problem).collect();
-    if !problems.is_empty() {
-        return Err(problems);
+impl Args {
+    /// The images of every camera of the rig, and what lies beside them; or everything that is wrong with their names.
+    fn find_images(&self, rig: &Rig) -> Result<ImageTree, Vec<String>> {
+        if let Some(kind) = self.images.is_file().then(|| photograph::kind(&self.images)).flatten() {
+            return Err(vec![format!("expected a directory of images, found {kind}")]);
+        }
+        let known: Vec<CameraId> = rig.cameras().map(|(_, camera)| camera.id.clone()).collect();
+        let names = known.iter().map(CameraId::as_str).collect::<Vec<_>>().join(", ");
+        let mut tree = if self.pattern.is_some() || self.renumber {
+            let usual = || "{camera}/{index}".parse().map_err(|e| vec![e]);
+            let pattern = self.pattern.clone().map_or_else(usual, Ok)?;
+            pattern.list(&self.images, &known, &ENDINGS, self.renumber)?
+        } else {
+            let tree = ImageTree::list(&self.images, &known, &ENDINGS)?;
+            let unknown = tree.cameras.keys().filter(|camera| !known.contains(camera));
+            let problem = |camera: &CameraId| {
+                let path = self.images.join(camera.as_str());
+                format!("{}: has images, but is no camera of the rig; expected {names}", path.display())
+            };
+            let problems: Vec<String> = unknown.map(problem).collect();
+            if !problems.is_empty() {
+                return Err(problems);
+            }
+            tree
+        };
+        if tree.cameras.values().all(Images::is_empty) {
+            let mut problems = vec![format!(
+                "expected images as CAMERA/INDEX.png of the cameras {names}, found none; where they have other names, \
+                 describe them: --pattern '{{camera}}_{{index}}'"
+            )];
+            let others = tree.left_out.iter().filter_map(|path| Some((path, photograph::kind(path)?)));
+            problems.extend(others.take(3).map(|(path, kind)| format!("{} is {kind}", path.display())));
+            return Err(problems);
+        }
+        // A camera without a directory recorded nothing.
+        for camera in known {
+            tree.cameras.entry(camera).or_default();
+        }
+        Ok(tree)
     }
-    if tree.cameras.values().all(Images::is_empty) {
-        return Err(vec!["no images; expected CAMERA/INDEX.png with the rig's camera names".to_owned()]);
-    }
-    // A camera without a directory recorded nothing.
-    for camera in known {
-        tree.cameras.entry(camera).or_default();
-    }
-    Ok(tree)
 }
 
-/// Decodes every image once to be sure of it: an import of an hour must not fail at its end.
-fn check_images(rig: &Rig, sequences: &BTreeMap<CameraId, Images>) -> Result<(), Vec<String>> {
+/// Decodes every image once to be sure of it: an import of an hour must not fail at its end. Returned is how many have
+/// lost something to compression.
+fn check_images(
+    rig: &Rig,
+    sequences: &BTreeMap<CameraId, Images>,
+    conversion: &Conversion,
+) -> Result<u64, Vec<String>> {
     let progress = Progress::of("checking", "images");
     let total: u64 = sequences.values().map(|s| s.len() as u64).sum();
-    let done = AtomicU64::new(0);
+    let (done, lossy) = (AtomicU64::new(0), AtomicU64::new(0));
     let mut problems = Vec::new();
     for (_, camera) in rig.cameras() {
         let Some(sequence) = sequences.get(&camera.id) else { continue };
@@ -139,27 +198,29 @@ fn check_images(rig: &Rig, sequences: &BTreeMap<CameraId, Images>) -> Result<(),
             .par_iter()
             .filter_map(|(_, path)| {
                 progress.at(done.fetch_add(1, Ordering::Relaxed) + 1, total);
-                read_image(camera, path).err()
+                let image = read_image(camera, path, conversion);
+                lossy.fetch_add(image.as_ref().is_ok_and(|image| image.lossy).into(), Ordering::Relaxed);
+                image.err()
             })
             .collect();
         problems.extend(wrong);
     }
-    if problems.is_empty() { Ok(()) } else { Err(problems) }
+    if problems.is_empty() { Ok(lossy.into_inner()) } else { Err(problems) }
 }
 
-fn read_image(camera: &RigCamera, path: &Path) -> Result<Vec<u8>, String> {
-    let image = read_png_grey(path).map_err(|e| e.to_string())?;
+fn read_image(camera: &RigCamera, path: &Path, conversion: &Conversion) -> Result<Photograph, String> {
+    let image = photograph::read(path, conversion).map_err(|e| e.to_string())?;
     let (width, height) = (camera.device.width, camera.device.height);
-    if (image.width(), image.height()) != (width, height) {
+    if (image.grey.width(), image.grey.height()) != (width, height) {
         return Err(format!(
             "{}: expected {width} x {height} pixels (camera {} of the rig), found {} x {}",
             path.display(),
             camera.id,
-            image.width(),
-            image.height()
+            image.grey.width(),
+            image.grey.height()
         ));
     }
-    Ok(image.as_slice().to_vec())
+    Ok(image)
 }
 
 /// Everything that the session will be.
@@ -168,6 +229,7 @@ struct Import<'a> {
     rig_text: &'a str,
     name: &'a SessionName,
     sequences: &'a BTreeMap<CameraId, Images>,
+    conversion: Conversion,
     triggers: u64,
 }
 
@@ -204,7 +266,9 @@ impl Import<'_> {
                 .par_iter()
                 .map(|camera| {
                     let path = self.sequences.get(&camera.id).and_then(|images| images.get(&trigger));
-                    let frame = path.map(|path| frame_of(camera, path, trigger, camera_time_ns, created_ns));
+                    let image = path.map(|path| read_image(camera, path, &self.conversion));
+                    let frame = image
+                        .map(|image| frame_of(camera, &image?.grey, trigger, camera_time_ns, created_ns));
                     frame.transpose()
                 })
                 .collect();
@@ -262,15 +326,15 @@ impl Import<'_> {
 /// A frame's metadata, and its message with the envelope in front of the pixels.
 type ImportedFrame = (FrameMeta, Vec<u8>);
 
-/// Reads an image of a camera as a frame of this trigger.
+/// An image of a camera as a frame of this trigger.
 fn frame_of(
     camera: &RigCamera,
-    path: &Path,
+    image: &Plane<u8>,
     trigger: u64,
     camera_time_ns: u64,
     created_ns: u64,
 ) -> Result<ImportedFrame, String> {
-    let pixels = read_image(camera, path)?;
+    let pixels = image.as_slice();
     let meta = FrameMeta {
         trigger: TriggerIndex(trigger),
         block: BlockId(trigger),
@@ -278,11 +342,11 @@ fn frame_of(
         host_time_ns: created_ns.saturating_add(camera_time_ns),
         width: camera.device.width as u32,
         height: camera.device.height as u32,
-        pixels_crc: pixels_crc(&pixels),
+        pixels_crc: pixels_crc(pixels),
     };
     let mut message = vec![0; ENVELOPE_CAPACITY];
     let length = write_envelope(&mut message, &camera.id, &meta).map_err(|e| e.to_string())?;
     message.drain(..ENVELOPE_CAPACITY - length);
-    message.extend_from_slice(&pixels);
+    message.extend_from_slice(pixels);
     Ok((meta, message))
 }

@@ -8,6 +8,7 @@ mod board;
 mod calibrate;
 mod calibrate_live;
 mod calibration;
+mod calibration_import;
 mod camera_setup;
 mod camera_state;
 mod cameras;

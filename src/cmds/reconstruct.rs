@@ -20,6 +20,7 @@ use crate::data::{Calibration, FrameSource, LostPart, SessionIdentity};
 use crate::reconstruct::fringe_order::{self, MostDifference};
 use crate::reconstruct::marker::epipolar_check::REMARKABLE_PX;
 use crate::reconstruct::pipeline::Method;
+use crate::reconstruct::triangulate::camera_projector::CameraProjector;
 use crate::record::{ReadError, SessionReader};
 use clap::ValueEnum;
 use staged::Staged;
@@ -208,6 +209,15 @@ impl What {
             return Err(usage(&none));
         }
         whole::fits(&calibration, &cameras, source.as_ref()).map_err(|e| usage(&e))?;
+        if let [only] = &cameras[..]
+            && let Some((head, camera)) = calibration.camera(only)
+            && CameraProjector::new(head, camera, &calibration).is_ok_and(|pair| pair.is_shallow)
+        {
+            eprintln!(
+                "warning: fringe orders of {only} come from the volume, which is less than a fringe deep: that \
+                 nothing else in view is lit is assumed"
+            );
+        }
         let triggers = super::export::chosen_triggers(self.triggers.as_ref(), source.triggers())?;
         if matches!(self.method, MethodName::Paper) && calibration.pattern.marker_every > 0 {
             let message = "--method paper: the paper's pattern has one marker, this calibration's has \

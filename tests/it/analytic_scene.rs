@@ -27,9 +27,13 @@ pub fn pair_of(head: usize, camera: usize, marker: Option<Marker>) -> CameraProj
 }
 
 fn pair_with((head, camera): (usize, usize), change: impl FnOnce(&mut Pattern)) -> CameraProjector {
+    pair_of_rig((head, camera), |rig| change(&mut rig.pattern))
+}
+
+fn pair_of_rig((head, camera): (usize, usize), change: impl FnOnce(&mut Rig)) -> CameraProjector {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/rig.toml");
     let mut rig = Rig::load(&path).expect("the shipped rig");
-    change(&mut rig.pattern);
+    change(&mut rig);
     let mut calibration = Calibration::nominal(&rig);
     calibration.heads[head].projector.lens.distortion = [-0.035, 0.02, 0.0, 0.0, 0.0];
     calibration.heads[head].rows = Some(PanelRows::exact());
@@ -167,6 +171,51 @@ fn a_sphere_beside_the_marker_is_refused() {
     let found = reconstruct(pair, &image);
     assert!(matches!(found.outcome, Outcome::Refused(_)), "{} points", found.cloud.len());
     assert!(found.cloud.is_empty() && found.counts.refused > 30_000, "{:?}", found.counts);
+}
+
+/// A wall that lies in a volume of less than a fringe, far from the marker. As deep as two fringes it is refused, and
+/// none of it is taken for something within that it is not in.
+#[test]
+fn a_shallow_volume_needs_no_marker() {
+    let in_volume = |x: [f64; 2]| {
+        pair_of_rig((0, 0), |rig| {
+            rig.pattern.marker = Marker::ZeroMean { amplitude: 0.0 };
+            (rig.volume_min_m, rig.volume_max_m) = ([x[0], -0.3, 1.25], [x[1], 0.3, 1.65]);
+        })
+    };
+    let normal = Vector3::new(1.0, 0.05, -0.03).normalize();
+    let middle = Point3::new(0.0, 0.0, 1.45);
+    let wall = |normal: Vector3<f64>| {
+        move |ray: &Ray| {
+            let point = ray.at((middle - ray.origin).dot(&normal) / ray.direction.dot(&normal));
+            (point.y.abs() < 0.15 && (point.z - 1.45).abs() < 0.15).then_some((point, normal))
+        }
+    };
+    let pair = in_volume([-0.015, 0.015]);
+    assert!(pair.is_shallow && !in_volume([-0.05, 0.05]).is_shallow && !self::pair(None).is_shallow);
+    let image = photograph(&pair, wall(normal));
+    let flat = photograph(&pair, wall(Vector3::x()));
+    let found = reconstruct(pair, &image);
+    assert_eq!(found.outcome, Outcome::Cloud, "{:?}", found.counts);
+    assert!(found.counts.marker == 0 && found.cloud.len() > 40_000, "{} points", found.cloud.len());
+    let off =
+        found.cloud.position_m.iter().map(|p| (Point3::from(*p).cast::<f64>() - middle).dot(&normal).abs());
+    let mut off: Vec<f64> = off.collect();
+    off.sort_by(f64::total_cmp);
+    assert!(off[off.len() / 2] < 0.0003 && off[off.len() - 1] < 0.005, "{:?}", off.last());
+    let found = reconstruct(in_volume([-0.05, 0.05]), &image);
+    assert!(matches!(found.outcome, Outcome::Refused(_)), "{} points", found.cloud.len());
+    // A seventh of a fringe outside.
+    for volume in [[0.006, 0.036], [-0.036, -0.006]] {
+        let outside = reconstruct(in_volume(volume), &flat);
+        assert!(outside.cloud.len() < 50, "{} points", outside.cloud.len());
+    }
+    // A small volume that only cuts what a marker names.
+    let with_marker = pair_of_rig((0, 0), |rig| {
+        (rig.volume_min_m, rig.volume_max_m) = ([-0.015, -0.3, 1.25], [0.015, 0.3, 1.65]);
+    });
+    assert!(!with_marker.is_shallow);
+    assert!(reconstruct(with_marker, &image).cloud.is_empty());
 }
 
 /// Markers 41 fringes apart: each sphere shows another one, and each is where it is.

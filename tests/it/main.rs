@@ -37,6 +37,7 @@ mod calibration_check;
 #[cfg(feature = "aravis")]
 mod calibration_light;
 mod calibration_uncertainty;
+mod calibrations_of_others;
 #[cfg(feature = "aravis")]
 mod camera_profiles;
 #[cfg(feature = "aravis")]
@@ -74,6 +75,7 @@ mod hsu;
 mod hsu_clock;
 #[cfg(feature = "aravis")]
 mod identity;
+mod images_of_others;
 #[cfg(feature = "aravis")]
 mod input_lines;
 #[cfg(feature = "aravis")]

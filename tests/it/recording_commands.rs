@@ -166,7 +166,7 @@ fn all_wrong_images_are_named_at_once_and_nothing_is_written() {
     std::fs::remove_file(images.join("h0_up/000001.png")).expect("there");
     std::fs::write(images.join("h2_low/000000.png"), b"not a picture").expect("written");
     let colour = images.join("h3_up/000001.png");
-    fourdbody::base::image::write_png_rgb(&colour, 48, 32, &[0; 48 * 32 * 3]).expect("written");
+    fourdbody::base::image::write_png_rgb(&colour, 48, 32, &[7, 7, 9].repeat(48 * 32)).expect("written");
     let output = fourdbody(&args);
     assert_eq!(code(&output), 2);
     let printed = String::from_utf8_lossy(&output.stderr);
@@ -174,8 +174,8 @@ fn all_wrong_images_are_named_at_once_and_nothing_is_written() {
         &printed,
         &[
             "h0_up/1.png: expected 48 x 32 pixels (camera h0_up of the rig), found 47 x 32",
-            "h2_low/000000.png: not a readable PNG",
-            "h3_up/000001.png: expected 8-bit grey pixels, found",
+            "h2_low/000000.png: expected a photograph as PNG, TIFF, BMP, PGM or JPEG, found a file that begins",
+            "h3_up/000001.png: expected grey, found colour: its channels differ by up to 2 of 255",
             "3 problems",
         ],
     );

@@ -24,6 +24,8 @@ pub mod drift;
 mod ellipse;
 mod estimate;
 mod findings;
+/// Calibrations of other programs, put into ours.
+pub mod foreign;
 mod gamma;
 pub mod global;
 pub mod guide;

@@ -72,7 +72,7 @@ pub fn light_of(image: Mono8<'_>, period_px: f32) -> Light {
 pub fn pipelines(nominal: &Calibration) -> Result<Vec<Pipeline>, String> {
     let workspace = Arc::new(Workspace::default());
     let pipeline = |pair| {
-        let triangulator = Triangulator::new(CameraProjector { rows: None, ..pair });
+        let triangulator = Triangulator::new(CameraProjector { rows: None, is_shallow: false, ..pair });
         Pipeline::new(triangulator, Method::Joint, false).with_workspace(Arc::clone(&workspace))
     };
     nominal

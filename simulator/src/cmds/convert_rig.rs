@@ -5,11 +5,12 @@
 use crate::rig_file::{aim, to_toml};
 use fourdbody::base::Exit;
 use fourdbody::base::ids::{CameraId, HeadId, NodeId};
+use fourdbody::calibrate::foreign::scene::SceneRig;
 use fourdbody::cmds::Failure;
-use fourdbody::config::{Board, Channel, Head, Rig, RigCamera};
+use fourdbody::config::{Board, Head, Rig, RigCamera};
 use fourdbody::data::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
 use fourdbody::geometry::pattern::{Marker, Pattern};
-use fourdbody::geometry::{Device, Lens, Pose, look_at};
+use fourdbody::geometry::{Device, Lens, look_at};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -31,9 +32,10 @@ pub struct Args {
 }
 
 #[derive(Deserialize)]
-struct SceneRig {
+struct Scene {
     pattern: ScenePattern,
-    heads: Vec<SceneHead>,
+    #[serde(flatten)]
+    rig: SceneRig,
 }
 
 #[derive(Deserialize)]
@@ -46,48 +48,6 @@ struct ScenePattern {
     low: f64,
     high: f64,
     gamma: f64,
-}
-
-#[derive(Deserialize)]
-struct SceneHead {
-    id: u64,
-    channel: Channel,
-    projector: SceneDevice,
-    cameras: Vec<SceneCamera>,
-}
-
-#[derive(Deserialize)]
-struct SceneCamera {
-    name: String,
-    #[serde(flatten)]
-    device: SceneDevice,
-}
-
-#[derive(Deserialize)]
-struct SceneDevice {
-    width: usize,
-    height: usize,
-    fx: f64,
-    fy: f64,
-    cx: f64,
-    cy: f64,
-    dist: [f64; 5],
-    #[serde(rename = "R")]
-    rotation: [[f64; 3]; 3],
-    #[serde(rename = "t")]
-    translation: [f64; 3],
-}
-
-impl SceneDevice {
-    fn device(&self) -> Result<Device, String> {
-        let device_from_world = Pose::from_rows(self.rotation, self.translation)?;
-        Ok(Device {
-            width: self.width,
-            height: self.height,
-            lens: Lens { fx: self.fx, fy: self.fy, cx: self.cx, cy: self.cy, distortion: self.dist },
-            world_from_device: Pose::new(device_from_world.isometry().inverse()),
-        })
-    }
 }
 
 pub fn run(args: &Args) -> Result<Exit, Failure> {
@@ -107,12 +67,12 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
 
 /// The nominal rig and the exact calibration of a JSON rig.
 fn convert(bytes: &[u8]) -> Result<(Rig, Calibration), String> {
-    let scene: SceneRig = serde_json::from_slice(bytes).map_err(|e| e.to_string())?;
+    let scene: Scene = serde_json::from_slice(bytes).map_err(|e| e.to_string())?;
     let pattern = pattern(&scene.pattern)?;
     let mut heads = Vec::new();
     let mut exact = Vec::new();
-    for head in &scene.heads {
-        let id = HeadId(format!("h{}", head.id));
+    for head in &scene.rig.heads {
+        let id = HeadId(head.name());
         let node = NodeId::from(if head.id < 2 { "a" } else { "b" });
         let mut cameras = Vec::new();
         let mut calibrated = Vec::new();

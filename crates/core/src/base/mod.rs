@@ -14,6 +14,9 @@ pub mod ids;
 pub mod image;
 /// JSON of other programs, in which an object is an object.
 pub mod json;
+/// Photographs in the formats of other recorders.
+#[cfg(feature = "photographs")]
+pub mod photograph;
 /// Text that may be printed to a terminal, or put into a page.
 pub mod print;
 /// Files of other programs: regular, of a bounded size, without waiting.

@@ -191,6 +191,7 @@ fn read_pattern(section: Section<'_>) -> Pattern {
         &[
             ("zero_mean", Marker::ZeroMean { amplitude: strength }),
             ("darkened", Marker::Darkened { depth: strength }),
+            ("none", Marker::ZeroMean { amplitude: 0.0 }),
         ],
     );
     let pattern = Pattern {
@@ -333,7 +334,7 @@ fn check_channels(root: &Section<'_>, heads: &[Head]) {
 fn check_marker_on_panel(root: &Section<'_>, pattern: &Pattern, heads: &[Head]) {
     let widest = heads.iter().map(|head| head.projector.width).max().unwrap_or(0);
     let ridge = f64::from(pattern.marker_index) * pattern.period_px;
-    if widest > 0 && ridge > widest as f64 {
+    if pattern.has_marker() && widest > 0 && ridge > widest as f64 {
         let message = format!("the marker's ridge lies at column {ridge}, expected at most {widest}");
         root.problem("pattern.marker_index", message);
     }

@@ -21,6 +21,12 @@ impl NpzReader {
         Ok(Self(ZipArchive::new(BufReader::new(regular::open(path)?))?))
     }
 
+    /// The names of its arrays.
+    pub fn names(&self) -> Vec<String> {
+        let array = |name: &str| name.strip_suffix(".npy").map(str::to_owned);
+        self.0.file_names().filter_map(|name| array(&name.ok()?)).collect()
+    }
+
     /// An array's shape and its numbers, row by row.
     pub fn array<T: Deserialize>(&mut self, name: &str) -> Result<(Vec<u64>, Vec<T>), String> {
         let file = self.0.by_name(&format!("{name}.npy"));
@@ -36,7 +42,18 @@ impl NpzReader {
         if numbers.is_none_or(|numbers| numbers > unpacked) {
             return Err(format!("{name}: expected the numbers of {shape:?} in {unpacked} bytes"));
         }
-        array.into_vec().map(|numbers| (shape, numbers)).map_err(|e| format!("{name}: {e}"))
+        let by_columns = array.order() == npyz::Order::Fortran && shape.len() > 1;
+        let numbers: Vec<T> = array.into_vec().map_err(|e| format!("{name}: {e}"))?;
+        let (true, [rows, _]) = (by_columns, &shape[..]) else {
+            let said =
+                format!("{name}: expected rows first, found columns; write numpy.ascontiguousarray of it");
+            return if by_columns { Err(said) } else { Ok((shape, numbers)) };
+        };
+        let rows = *rows as usize;
+        let mut numbers: Vec<(usize, T)> = numbers.into_iter().enumerate().collect();
+        numbers.sort_by_key(|(i, _)| (i % rows, i / rows));
+        let numbers = numbers.into_iter().map(|number| number.1).collect();
+        Ok((shape, numbers))
     }
 }
 

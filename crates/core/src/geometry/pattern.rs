@@ -64,8 +64,18 @@ impl Pattern {
         phase * self.period_px / TAU - 0.5
     }
 
+    /// Whether a fringe is distinguished: a marker without strength is none.
+    pub fn has_marker(&self) -> bool {
+        match self.marker {
+            Marker::Darkened { depth: strength } | Marker::ZeroMean { amplitude: strength } => strength > 0.0,
+        }
+    }
+
     /// The markers whose ridges lie on a panel of `width` columns, by rising index.
     pub fn markers(&self, width: usize) -> Vec<u32> {
+        if !self.has_marker() {
+            return Vec::new();
+        }
         let on_panel = |index: &u32| f64::from(*index) * self.period_px <= width as f64;
         match self.marker_every {
             0 => vec![self.marker_index],

@@ -23,7 +23,8 @@ pub struct Scene<'a> {
     pub patches: Patches,
     /// Where the other cameras see its places.
     pub projection: Projection<'a>,
-    /// The orders by its marker: patch, whole turns that make its phases absolute, number of marker pixels.
+    /// The orders by its marker: patch, whole turns that make its phases absolute, number of marker pixels. A camera
+    /// alone whose volume is shallow has such votes for all patches.
     pub votes: Vec<(u32, i32, u32)>,
     /// Mean light of its patches, DN.
     pub light_dn: f32,
@@ -40,6 +41,10 @@ impl<'a> Scene<'a> {
         let pair = view.triangulator.pair();
         let lights: Vec<f32> =
             patches.all.iter().map(|patch| prepared.light_dn(patch.pixel as usize)).collect();
+        let mut votes = votes(&patches, prepared, pair);
+        if views.len() == 1 && pair.is_shallow {
+            votes.extend(votes_of_the_volume(&patches, prepared.roi, pair));
+        }
         let (light, squares) = lights.iter().fold((0.0, 0.0), |sum, x| (sum.0 + x, sum.1 + x * x));
         Self {
             head: view.head,
@@ -50,7 +55,7 @@ impl<'a> Scene<'a> {
                 number,
                 views.iter().map(|x| (x.triangulator.pair(), x.prepared.roi, x.head)),
             ),
-            votes: votes(&patches, prepared, pair),
+            votes,
             light_dn: light / patches.all.len().max(1) as f32,
             is_bright: lights.iter().map(|x| x * light >= 0.5 * squares).collect(),
             patches,
@@ -59,9 +64,13 @@ impl<'a> Scene<'a> {
 
     /// The pixel of the frame that stands for a patch.
     pub fn pixel(&self, patch: &Patch) -> (usize, usize) {
-        let pixel = patch.pixel as usize;
-        (self.roi.u + pixel % self.roi.width, self.roi.v + pixel / self.roi.width)
+        pixel_of(patch, self.roi)
     }
+}
+
+fn pixel_of(patch: &Patch, roi: Roi) -> (usize, usize) {
+    let pixel = patch.pixel as usize;
+    (roi.u + pixel % roi.width, roi.v + pixel / roi.width)
 }
 
 /// Sign of the projected phase's change with the distance from the camera.
@@ -91,4 +100,19 @@ fn votes(patches: &Patches, prepared: &UnwrappedFrame, pair: &CameraProjector) -
         }
     }
     votes.into_iter().map(|((patch, order), n)| (patch, order, n)).collect()
+}
+
+/// The orders by a shallow volume: as sure as those of many marker pixels.
+fn votes_of_the_volume(
+    patches: &Patches,
+    roi: Roi,
+    pair: &CameraProjector,
+) -> impl Iterator<Item = (u32, i32, u32)> {
+    const PIXELS: u32 = 10;
+    patches.all.iter().zip(0..).filter_map(move |(patch, number)| {
+        let (u, v) = pixel_of(patch, roi);
+        let [least, largest] = pair.fringes_within(u, v)?;
+        let middle = (least + largest) / 2.0;
+        Some((number, (middle - f64::from(patch.phase / TAU)).round() as i32, PIXELS))
+    })
 }

@@ -5,6 +5,7 @@ use crate::data::{CalibratedCamera, CalibratedHead, Calibration, PanelRows};
 use crate::geometry::pattern::{Marker, Pattern};
 use crate::geometry::{Device, Fringes, Ray};
 use nalgebra::{Point3, Vector3};
+use std::f64::consts::TAU;
 
 /// A camera and its projector, with the figures that the stages derive from them. [`CameraProjector::new`] makes it
 /// from a calibration; it is not changed afterwards.
@@ -33,6 +34,8 @@ pub struct CameraProjector {
     pub volume_min_m: [f64; 3],
     /// Upper corner of that volume, world, m.
     pub volume_max_m: [f64; 3],
+    /// Whether there is no marker, and the volume is so shallow that it alone tells fringes apart.
+    pub is_shallow: bool,
 }
 
 /// Lines of sight are cut off nearer to the camera than this, m. [`super::ray_table`] tabulates from 0.2 m on.
@@ -41,6 +44,12 @@ const NEAREST_M: f64 = 0.05;
 /// Surfaces are sought this far outside of the volume, m. No points are made of them there: but a floor on the border
 /// that could not be where it is would be taken for something within.
 const VOLUME_MARGIN_M: f64 = 0.10;
+
+/// The most fringes that a volume is deep which tells fringes apart by itself. What lies in front of it or behind it by
+/// less than the rest of a fringe falls out, and is not taken for something within.
+const SHALLOW: f64 = 0.8;
+/// Pixels from one ray to the next that are looked at for it.
+const SHALLOW_STEP_PX: usize = 32;
 
 impl CameraProjector {
     /// Derives the pair's figures; an error when the pattern is not visible, or runs along the image columns.
@@ -55,11 +64,13 @@ impl CameraProjector {
         let fringes = Fringes::seen_by(&camera.device, &head.projector, &pattern, &middle)
             .map_err(|unusable| format!("camera {}: {unusable}", camera.id))?;
         let marker_contrast = match pattern.marker {
+            // Nothing is as strong as what is not there.
+            _ if !pattern.has_marker() => f64::INFINITY,
             // Mean 1 - depth / 2, amplitude depth / 2.
             Marker::Darkened { depth } => depth / 2.0 / (1.0 - depth / 2.0),
             Marker::ZeroMean { amplitude } => amplitude,
         };
-        Ok(Self {
+        let mut pair = Self {
             camera: camera.device.clone(),
             projector: head.projector.clone(),
             rows: head.rows,
@@ -71,7 +82,10 @@ impl CameraProjector {
             pattern,
             volume_min_m: min,
             volume_max_m: max,
-        })
+            is_shallow: false,
+        };
+        pair.is_shallow = !pair.pattern.has_marker() && pair.tells_fringes_apart();
+        Ok(pair)
     }
 
     /// Lower and upper corner of where surfaces are sought, world, m: the volume, and a hand's breadth around it.
@@ -82,7 +96,11 @@ impl CameraProjector {
     /// The ray of pixel (u, v), and the distances, m, between which surfaces are [sought](Self::sought_m); `None` where
     /// it misses that.
     pub fn distances_sought(&self, u: usize, v: usize) -> Option<(Ray, [f64; 2])> {
-        let [min, max] = self.sought_m();
+        self.distances(u, v, self.sought_m())
+    }
+
+    /// The ray of pixel (u, v), and the distances, m, between which it lies in a box.
+    fn distances(&self, u: usize, v: usize, [min, max]: [[f64; 3]; 2]) -> Option<(Ray, [f64; 2])> {
         let ray = self.camera.ray(u as f64, v as f64)?;
         let (from, to) = (ray.at(0.0), ray.at(1.0));
         let (mut near, mut far) = (NEAREST_M, f64::INFINITY);
@@ -100,6 +118,24 @@ impl CameraProjector {
         let [near, far] = distances.map(|x| self.projector.project(&ray.at(x)).map(|[column, _]| column));
         let (near, far) = (near?, far?);
         Some([near.min(far), near.max(far)])
+    }
+
+    /// Least and largest absolute phase, in fringes, on the part of the ray of pixel (u, v) that lies in the volume; `None`
+    /// as for [`Self::columns_sought`].
+    pub fn fringes_within(&self, u: usize, v: usize) -> Option<[f64; 2]> {
+        let (ray, distances) = self.distances(u, v, [self.volume_min_m, self.volume_max_m])?;
+        let [near, far] = distances.map(|x| self.projector.project(&ray.at(x)).map(|[column, _]| column));
+        let [near, far] = [near?, far?].map(|column| self.pattern.phase(column) / TAU);
+        Some([near.min(far), near.max(far)])
+    }
+
+    /// Whether the volume is less than [`SHALLOW`] deep, as every pixel sees it.
+    fn tells_fringes_apart(&self) -> bool {
+        let nodes = |side: usize| (0..side).step_by(SHALLOW_STEP_PX);
+        let rays = nodes(self.camera.width).flat_map(|u| nodes(self.camera.height).map(move |v| (u, v)));
+        let mut depths =
+            rays.filter_map(|(u, v)| self.fringes_within(u, v)).map(|[least, most]| most - least).peekable();
+        depths.peek().is_some() && depths.all(|depth| depth < SHALLOW)
     }
 
     /// Whether a world point lies in the volume.

@@ -3,8 +3,8 @@
 //! so that they agree about what is a frame.
 //!
 //! A folder is a camera's when the caller knows a camera of this name, or when an `INDEX.png` is in it. A file that
-//! is no frame and cannot have been meant as one is left out, and named. A PNG in a camera's folder that has no
-//! index, and two files of one index, are refused: they may be frames.
+//! is no frame and cannot have been meant as one is left out, and named. A picture in a camera's folder that has no
+//! index, and two files of one index, are refused: they may be frames. [`super::image_names`] has other names.
 
 use crate::base::ids::CameraId;
 use std::collections::BTreeMap;
@@ -26,12 +26,14 @@ pub struct ImageTree {
     pub cameras: BTreeMap<CameraId, Images>,
     /// Folders and files that are no frames.
     pub left_out: Vec<PathBuf>,
+    /// What rests on an assumption, for people.
+    pub remark: Option<String>,
 }
 
 impl ImageTree {
-    /// Lists the images; `known`: cameras that the caller knows. The error: everything that must not be left out
-    /// silently.
-    pub fn list(directory: &Path, known: &[CameraId]) -> Result<Self, Vec<String>> {
+    /// Lists the images, whose names have one of these endings; `known`: cameras that the caller knows. The error:
+    /// everything that must not be left out silently.
+    pub fn list(directory: &Path, known: &[CameraId], endings: &[&str]) -> Result<Self, Vec<String>> {
         let mut problems = Vec::new();
         let mut tree = Self::default();
         for path in entries(directory, &mut problems) {
@@ -43,7 +45,7 @@ impl ImageTree {
             };
             let mut folder = Self::default();
             let mut own = Vec::new();
-            let images = folder.images(&path, &mut own);
+            let images = folder.images(&path, endings, &mut own);
             if images.is_empty() && !known.contains(&camera) {
                 tree.left_out.push(path);
                 continue;
@@ -56,23 +58,20 @@ impl ImageTree {
     }
 
     /// The images of a camera's folder.
-    fn images(&mut self, folder: &Path, problems: &mut Vec<String>) -> Images {
+    fn images(&mut self, folder: &Path, endings: &[&str], problems: &mut Vec<String>) -> Images {
         let mut images = Images::new();
         for path in entries(folder, problems) {
-            match index(&path) {
+            match index(&path, endings) {
                 Named::Other => self.left_out.push(path),
                 Named::Unindexed => problems.push(format!(
-                    "{}: expected INDEX.png with a trigger index from 0 to {}; rename it, or move it away",
+                    "{}: expected INDEX.{} with a trigger index from 0 to {}; rename it, or move it away",
                     path.display(),
+                    endings[0],
                     INDEX_END - 1
                 )),
                 Named::Index(index) => {
                     if let Some(other) = images.insert(index, path.clone()) {
-                        problems.push(format!(
-                            "{} and {}: both are trigger {index}; move one of them away",
-                            other.display(),
-                            path.display()
-                        ));
+                        problems.push(twice(index, &other, &path));
                     }
                 }
             }
@@ -82,32 +81,44 @@ impl ImageTree {
 
     /// A line that names what is left out; `None` where that is nothing.
     pub fn remark(left_out: &[PathBuf]) -> Option<String> {
-        let names: Vec<String> = left_out.iter().take(NAMED).map(|path| path.display().to_string()).collect();
-        let more = left_out.len().saturating_sub(NAMED);
-        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-        (!names.is_empty()).then(|| format!("left out, no frames: {}{more}", names.join(", ")))
+        (!left_out.is_empty()).then(|| format!("left out, no frames: {}", named(left_out)))
     }
+}
+
+/// The first files of a list, and how many more there are.
+pub(super) fn named(paths: &[PathBuf]) -> String {
+    let names: Vec<String> = paths.iter().take(NAMED).map(|path| path.display().to_string()).collect();
+    let more = paths.len().saturating_sub(NAMED);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("{}{more}", names.join(", "))
+}
+
+/// That two files have one index.
+pub(super) fn twice(index: u64, a: &Path, b: &Path) -> String {
+    format!("{} and {}: both are trigger {index}; move one of them away", a.display(), b.display())
+}
+
+/// Whether a file's name has one of these endings; what other systems leave beside a file begins with a dot.
+pub(super) fn is_picture(path: &Path, endings: &[&str]) -> bool {
+    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
+    let hidden = path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."));
+    !hidden && endings.iter().any(|known| known.eq_ignore_ascii_case(ending)) && !path.is_dir()
 }
 
 /// What a file is by its name.
 enum Named {
     /// The frame of a trigger.
     Index(u64),
-    /// A PNG of no trigger.
+    /// A picture of no trigger.
     Unindexed,
     Other,
 }
 
-fn index(path: &Path) -> Named {
-    let is_png = path.extension().is_some_and(|end| end.eq_ignore_ascii_case("png"));
-    if !is_png || path.is_dir() {
+fn index(path: &Path, endings: &[&str]) -> Named {
+    if !is_picture(path, endings) {
         return Named::Other;
     }
     let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
-    // Other systems leave such files beside a file.
-    if stem.starts_with('.') {
-        return Named::Other;
-    }
     let digits = Some(stem).filter(|stem| stem.bytes().all(|byte| byte.is_ascii_digit()));
     match digits.and_then(|digits| digits.parse().ok()).filter(|index| *index < INDEX_END) {
         Some(index) => Named::Index(index),
@@ -116,7 +127,7 @@ fn index(path: &Path) -> Named {
 }
 
 /// What is in a directory, by name.
-fn entries(directory: &Path, problems: &mut Vec<String>) -> Vec<PathBuf> {
+pub(super) fn entries(directory: &Path, problems: &mut Vec<String>) -> Vec<PathBuf> {
     let read = std::fs::read_dir(directory).and_then(Iterator::collect::<Result<Vec<_>, _>>);
     match read {
         Ok(entries) => {
@@ -145,7 +156,7 @@ mod tests {
             std::fs::write(path, "").expect("writable");
         }
         let known: Vec<CameraId> = known.iter().map(|id| CameraId::from(*id)).collect();
-        let listed = ImageTree::list(dir.path(), &known);
+        let listed = ImageTree::list(dir.path(), &known, &["png"]);
         (dir, listed)
     }
 

@@ -15,6 +15,8 @@ pub mod dump_maps;
 pub mod files;
 /// Stored phase maps to clouds.
 pub mod from_phase_maps;
+/// Directories of images with other names.
+pub mod image_names;
 /// Directories of images, `DIR/CAMERA/INDEX.png`, and what in them is a frame.
 pub mod image_tree;
 /// What a result is made of.

@@ -20,7 +20,7 @@ pub struct PngSource {
 impl PngSource {
     /// Lists the images of `cameras` under `directory`; cameras without a directory have gaps everywhere.
     pub fn open(directory: &Path, cameras: &[CameraId]) -> Result<Self, String> {
-        let tree = ImageTree::list(directory, cameras).map_err(|problems| problems.join("\n"))?;
+        let tree = ImageTree::list(directory, cameras, &["png"]).map_err(|problems| problems.join("\n"))?;
         let wanted = tree.cameras.iter().filter(|(camera, _)| cameras.contains(camera));
         let indexes: Vec<u64> = wanted.flat_map(|(_, images)| images.keys().copied()).collect();
         let (Some(first), Some(last)) = (indexes.iter().min(), indexes.iter().max()) else {
