@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import _native
 from .calibration import Calibration
@@ -21,6 +22,7 @@ class FrameSet:
     """What the photographs of one instant have become."""
 
     merged: Cloud
+    """One cloud of all cameras."""
     clouds: dict[str, Cloud]
     """The cloud of each camera; empty where its photograph was refused."""
     refused: dict[str, str]
@@ -36,8 +38,9 @@ class Reconstructor:
     def __init__(self, calibration: Calibration):
         self._native = _native.Reconstructor(calibration._native)
         self.cameras = calibration.cameras
+        """Names of the cameras, in the order of camera numbers in merged clouds."""
 
-    def __call__(self, images: Mapping[str, np.ndarray]) -> FrameSet:
+    def __call__(self, images: Mapping[str, NDArray[np.uint8]]) -> FrameSet:
         """`images`: uint8, rows x columns, by camera. Cameras may be missing; each confirms the others' fringe orders."""
         given = {camera: np.ascontiguousarray(image) for camera, image in images.items()}
         for camera, image in given.items():
@@ -51,7 +54,7 @@ class Reconstructor:
         )
 
 
-def reconstruct_images(images: Mapping[str, np.ndarray], calibration: Calibration) -> FrameSet:
+def reconstruct_images(images: Mapping[str, NDArray[np.uint8]], calibration: Calibration) -> FrameSet:
     """The photographs of one instant to points, in memory. For more than one instant keep a Reconstructor."""
     return Reconstructor(calibration)(images)
 
@@ -59,7 +62,7 @@ def reconstruct_images(images: Mapping[str, np.ndarray], calibration: Calibratio
 def reconstruct(
     session: Session,
     calibration: Calibration,
-    out: str | os.PathLike,
+    out: str | os.PathLike[str],
     *,
     triggers: range | None = None,
     cameras: Iterable[str] = (),
