@@ -21,7 +21,7 @@ class Cloud:
     xyz_m: NDArray[np.float32]
     """Places in the world, float32, N x 3, m."""
     normal: NDArray[np.float32]
-    """Unit normals towards the camera, float32, N x 3."""
+    """Unit normals towards the camera, in the world, float32, N x 3."""
     intensity: NDArray[np.float32]
     """Light averaged over one fringe, float32, N, from 0 to 1."""
     uv: NDArray[np.uint16]

@@ -20,9 +20,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// A calibration that was made and written.
 pub struct Made {
     pub outcome: Outcome,
-    /// Its file.
+    /// The calibration file that was written.
     pub out: PathBuf,
-    /// The page of its report.
+    /// The page of its report, where one was asked for.
     pub page: Option<PathBuf>,
     /// Parts of the sessions that cannot be read.
     unreadable: Vec<String>,
