@@ -30,7 +30,8 @@ def calibrate(
     """Calibrates all heads from photographs of the board into the file `out`, as `fourdbody calibrate` does.
 
     At each position of the board there is one frame in white light, then one with fringes. The world that results is
-    right-handed, z up, in metres.
+    right-handed, z up, in metres. Ctrl-C ends it: while photographs are read at once, during the adjustment that follows
+    at its end, after some seconds.
 
     Args:
         sessions: One session, or several that follow each other.

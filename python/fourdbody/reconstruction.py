@@ -41,7 +41,11 @@ class Reconstructor:
         """Names of the cameras, in the order of camera numbers in merged clouds."""
 
     def __call__(self, images: Mapping[str, NDArray[np.uint8]]) -> FrameSet:
-        """`images`: uint8, rows x columns, by camera. Cameras may be missing; each confirms the others' fringe orders."""
+        """The points of one instant, in the world of the calibration.
+
+        Args:
+            images: uint8, rows x columns, by camera. Cameras may be missing; each confirms the others' fringe orders.
+        """
         given = {camera: np.ascontiguousarray(image) for camera, image in images.items()}
         for camera, image in given.items():
             if image.dtype != np.uint8 or image.ndim != 2:
@@ -72,9 +76,20 @@ def reconstruct(
 ) -> Result:
     """Reconstructs a session into the directory `out`, as `fourdbody reconstruct` does, and opens the result.
 
-    triggers: consecutive ones; all by default. cameras: all by default. uncertainty: of each point, too. clouds: also
-    as PLY files, not only as phase maps. progress: is called with triggers done and their number. What is there of the
-    same session and calibration is kept; Ctrl-C ends the work after the triggers that are under way.
+    What is there of the same session and calibration is kept. Ctrl-C ends the work after the triggers that are under way.
+
+    Args:
+        session: The session with the photographs.
+        calibration: That of the session's rig; it defines the world.
+        out: The directory of the result.
+        triggers: Consecutive ones; all by default.
+        cameras: Their names; all by default.
+        uncertainty: Of each point the standard uncertainty, too.
+        clouds: Also write PLY files, not only phase maps.
+        progress: Is called with triggers done and their number.
+
+    Raises:
+        Error: The session and the calibration do not belong together, or the directory has another result.
     """
     if triggers is not None and (triggers.step != 1 or len(triggers) == 0):
         raise ValueError(f"expected consecutive triggers, found {triggers}")
