@@ -25,14 +25,15 @@
 #   make deb       the Debian package, in target/debian; scripts/try-package.sh tries it in a clean Debian
 #   make release   the package with SHA256SUMS, of a clean tree whose documents are of this version
 #   make wheel     the Python package, in target/wheels
-#   make python    the same, and its tests on what `make demo` wrote
+#   make python    the same, and its tests and notebooks on what `make demo` wrote
+#   make python-docs    its pages, made from the docstrings, in target/python-docs
 #   make third-party   others' programs that take minutes to build
 
 SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo lab test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses geometry drift noise light real validate figures packages test-packages clean-out fuzz third-party release wheel python
+.PHONY: all demo lab test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses geometry drift noise light real validate figures packages test-packages clean-out fuzz third-party release wheel python python-docs
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -168,6 +169,11 @@ wheel: packages
 python: demo
 	@scripts/install-packages.sh python3-venv
 	TEST=1 scripts/python.sh
+
+python-docs: packages
+	@scripts/install-packages.sh python3-venv
+	@scripts/make-venv.sh target/mkdocs mkdocs==1.6.1 mkdocstrings==1.0.8 mkdocstrings-python==2.0.11
+	target/mkdocs/bin/mkdocs build --quiet --config-file python/mkdocs.yml
 
 release: packages
 	scripts/release.sh

@@ -22,7 +22,7 @@ pub use fourdbody_node::{
 };
 pub use fourdbody_reconstruct::{self as reconstruct, merge};
 pub use fourdbody_record::{self as record, host, matcher};
-pub use fourdbody_results::{batch, cluster, export, formats};
+pub use fourdbody_results::{batch, calibrating, cluster, export, formats};
 
 // First: what follows prints by its macros.
 #[macro_use]

@@ -4,13 +4,15 @@
 Lengths are metres, angles and phases radians, times nanoseconds, unless a name says otherwise. The world is
 right-handed, z up. A pixel is (u, v): u is the column, integers are pixel centres.
 
->>> import fourdbody as fb
->>> session = fb.Session("sessions/walk-01")
->>> image = session.frame(12, "h0_up")             # uint8, rows x columns, or a Gap with its cause
->>> result = fb.reconstruct(session, fb.Calibration("calibration.json"), "walk-01", triggers=range(12))
->>> cloud = result.cloud(11)                       # cloud.xyz_m, cloud.normal, cloud.camera, ...
+Examples:
+    >>> import fourdbody as fb
+    >>> session = fb.Session("sessions/walk-01")
+    >>> image = session.frame(12, "h0_up")             # uint8, rows x columns, or a Gap with its cause
+    >>> result = fb.reconstruct(session, fb.Calibration("calibration.json"), "walk-01", triggers=range(12))
+    >>> cloud = result.cloud(11)                       # cloud.xyz_m, cloud.normal, cloud.camera, ...
 """
 
+from .calibrating import calibrate, calibration_check
 from .calibration import Calibration
 from .clouds import Cloud, PhaseMap
 from .errors import Error
@@ -28,6 +30,8 @@ __all__ = [
     "Reconstructor",
     "Result",
     "Session",
+    "calibrate",
+    "calibration_check",
     "reconstruct",
     "reconstruct_images",
 ]

@@ -5,43 +5,53 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from . import _native
 
 
 class Calibration:
-    """A `calibration.json`. Devices are named `h0_up` (cameras) and `projector h0`."""
+    """A `calibration.json`, or what `content` gives with changes. Devices are named `h0_up` (cameras) and `projector h0`."""
 
-    def __init__(self, path: str | os.PathLike):
-        self._native = _native.Calibration(os.fspath(path))
+    def __init__(self, source: str | os.PathLike[str] | Mapping[str, Any]):
+        if isinstance(source, Mapping):
+            self._native = _native.Calibration.of_text(json.dumps(dict(source)))
+        else:
+            self._native = _native.Calibration(os.fspath(source))
         self.cameras: tuple[str, ...] = tuple(self._native.cameras())
         """Names of the cameras, in the order of camera numbers in merged clouds."""
 
-    def content(self) -> dict:
+    def content(self) -> dict[str, Any]:
         """The content of the file; `docs/reference/calibration.md` describes it."""
         return json.loads(self._native.text())
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes it as a file, which is never half there."""
+        self._native.save(os.fspath(path))
 
     def size(self, device: str) -> tuple[int, int]:
         """Columns and rows of a device."""
         return self._native.device(device)[0]
 
-    def centre_m(self, device: str) -> np.ndarray:
+    def centre_m(self, device: str) -> NDArray[np.float64]:
         """Where a device's rays begin, float64, 3, m in the world."""
         return np.array(self._native.device(device)[1])
 
-    def rays(self, device: str, uv) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, device: str, uv: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Where the rays of pixels begin (3, m) and their unit directions (N x 3), both float64, in the world.
 
         `uv`: N x 2, columns and rows, lens distortion included. NaN where the lens has no ray.
         """
         return self.centre_m(device), self._native.directions(device, _rows(uv, 2))
 
-    def project(self, device: str, xyz_m) -> np.ndarray:
+    def project(self, device: str, xyz_m: ArrayLike) -> NDArray[np.float64]:
         """The pixels that see points (N x 3, m, world): float64, N x 2, also outside of the frame; NaN behind it."""
         return self._native.project(device, _rows(xyz_m, 3))
 
 
-def _rows(values, columns: int) -> np.ndarray:
+def _rows(values: ArrayLike, columns: int) -> NDArray[np.float64]:
     return np.ascontiguousarray(values, np.float64).reshape(-1, columns)

@@ -12,3 +12,4 @@ class Error(Exception):
     def __init__(self, message: str, code: int):
         super().__init__(message)
         self.code = code
+        """The exit code that the command line would have."""

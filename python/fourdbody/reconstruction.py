@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import _native
 from .calibration import Calibration
@@ -21,6 +22,7 @@ class FrameSet:
     """What the photographs of one instant have become."""
 
     merged: Cloud
+    """One cloud of all cameras."""
     clouds: dict[str, Cloud]
     """The cloud of each camera; empty where its photograph was refused."""
     refused: dict[str, str]
@@ -36,9 +38,14 @@ class Reconstructor:
     def __init__(self, calibration: Calibration):
         self._native = _native.Reconstructor(calibration._native)
         self.cameras = calibration.cameras
+        """Names of the cameras, in the order of camera numbers in merged clouds."""
 
-    def __call__(self, images: Mapping[str, np.ndarray]) -> FrameSet:
-        """`images`: uint8, rows x columns, by camera. Cameras may be missing; each confirms the others' fringe orders."""
+    def __call__(self, images: Mapping[str, NDArray[np.uint8]]) -> FrameSet:
+        """The points of one instant, in the world of the calibration.
+
+        Args:
+            images: uint8, rows x columns, by camera. Cameras may be missing; each confirms the others' fringe orders.
+        """
         given = {camera: np.ascontiguousarray(image) for camera, image in images.items()}
         for camera, image in given.items():
             if image.dtype != np.uint8 or image.ndim != 2:
@@ -51,7 +58,7 @@ class Reconstructor:
         )
 
 
-def reconstruct_images(images: Mapping[str, np.ndarray], calibration: Calibration) -> FrameSet:
+def reconstruct_images(images: Mapping[str, NDArray[np.uint8]], calibration: Calibration) -> FrameSet:
     """The photographs of one instant to points, in memory. For more than one instant keep a Reconstructor."""
     return Reconstructor(calibration)(images)
 
@@ -59,7 +66,7 @@ def reconstruct_images(images: Mapping[str, np.ndarray], calibration: Calibratio
 def reconstruct(
     session: Session,
     calibration: Calibration,
-    out: str | os.PathLike,
+    out: str | os.PathLike[str],
     *,
     triggers: range | None = None,
     cameras: Iterable[str] = (),
@@ -69,9 +76,20 @@ def reconstruct(
 ) -> Result:
     """Reconstructs a session into the directory `out`, as `fourdbody reconstruct` does, and opens the result.
 
-    triggers: consecutive ones; all by default. cameras: all by default. uncertainty: of each point, too. clouds: also
-    as PLY files, not only as phase maps. progress: is called with triggers done and their number. What is there of the
-    same session and calibration is kept; Ctrl-C ends the work after the triggers that are under way.
+    What is there of the same session and calibration is kept. Ctrl-C ends the work after the triggers that are under way.
+
+    Args:
+        session: The session with the photographs.
+        calibration: That of the session's rig; it defines the world.
+        out: The directory of the result.
+        triggers: Consecutive ones; all by default.
+        cameras: Their names; all by default.
+        uncertainty: Of each point the standard uncertainty, too.
+        clouds: Also write PLY files, not only phase maps.
+        progress: Is called with triggers done and their number.
+
+    Raises:
+        Error: The session and the calibration do not belong together, or the directory has another result.
     """
     if triggers is not None and (triggers.step != 1 or len(triggers) == 0):
         raise ValueError(f"expected consecutive triggers, found {triggers}")

@@ -23,6 +23,25 @@ impl Calibration {
         Ok(Self { content: data::Calibration::load(&path).or_raise(py, Exit::Usage)? })
     }
 
+    /// The calibration of a content that was changed: what its file states as checksum is left out.
+    #[staticmethod]
+    fn of_text(py: Python<'_>, text: &str) -> PyResult<Self> {
+        let stated = || {
+            let mut value: serde_json::Value = serde_json::from_str(text).map_err(|e| e.to_string())?;
+            value.as_object_mut().ok_or("expected an object")?.remove("sha256");
+            let content: data::Calibration = serde_json::from_value(value).map_err(|e| e.to_string())?;
+            data::Calibration::parse(content.text().map_err(|e| e.to_string())?.as_bytes())
+        };
+        let expected = "expected the content of a calibration";
+        let content = stated().map_err(|found: String| format!("{expected}; found: {found}"));
+        Ok(Self { content: content.or_raise(py, Exit::Usage)? })
+    }
+
+    /// Writes the file, with its checksum.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
+        py.detach(|| self.content.save(&path)).or_raise(py, Exit::Failure)
+    }
+
     /// The content of the file, JSON.
     fn text(&self, py: Python<'_>) -> PyResult<String> {
         self.content.text().or_raise(py, Exit::Failure)

@@ -4,6 +4,7 @@
 use crate::arrays;
 use crate::calibration::Calibration;
 use crate::error::{OrRaise, raise};
+use crate::work;
 use fourdbody_core::base::ids::CameraId;
 use fourdbody_core::base::image::Mono8;
 use fourdbody_core::base::{Exit, Fault};
@@ -17,10 +18,7 @@ use numpy::{PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::collections::BTreeMap;
-use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::Duration;
 
 #[pyclass(frozen)]
 pub struct Reconstructor {
@@ -106,46 +104,12 @@ pub fn reconstruct(
     formats.extend(ply.then_some(Format::Ply));
     let count = (triggers.end - triggers.start) as usize;
     let plan = Plan { out, triggers, cameras, formats, uncertainty, ..Plan::default() };
-    let (stop, done) = (AtomicBool::new(false), AtomicUsize::new(0));
-    let work = || {
-        let at = |triggers: usize| {
-            done.store(triggers, Ordering::Relaxed);
-            if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        };
-        let (mut summary, _) = run::run(&source, calibration, &plan, at)?;
+    let work = |at: work::At<'_>| {
+        let _ = at(0, count);
+        let (mut summary, _) = run::run(&source, calibration, &plan, |done| at(done, count))?;
         let lost = source.lost().iter();
         whole::finish(&plan, None, calibration, &mut summary, lost, whole::RATE_HZ, |_, _| {})
     };
-    // This thread waits, and hears of Ctrl-C meanwhile.
-    let (made, interrupted) = py.detach(|| {
-        std::thread::scope(|scope| {
-            let worker = scope.spawn(work);
-            let (mut interrupted, mut shown) = (None, None);
-            while !worker.is_finished() {
-                std::thread::sleep(Duration::from_millis(20));
-                let now = done.load(Ordering::Relaxed);
-                let heard = Python::attach(|py| {
-                    py.check_signals()?;
-                    match &progress {
-                        Some(progress) if shown != Some(now) => {
-                            progress.bind(py).call1((now, count)).map(drop)
-                        }
-                        _ => Ok(()),
-                    }
-                });
-                shown = Some(now);
-                if let Err(error) = heard {
-                    stop.store(true, Ordering::Relaxed);
-                    interrupted.get_or_insert(error);
-                }
-            }
-            (worker.join(), interrupted)
-        })
-    });
-    if let Some(error) = interrupted {
-        return Err(error);
-    }
-    let made = made.unwrap_or_else(|_| Err(Fault::new(Exit::Failure, "the reconstruction ended by a panic")));
-    made.map_err(fault)?;
+    work::watched(py, progress.as_ref(), work)?;
     progress.map_or(Ok(()), |progress| progress.bind(py).call1((count, count)).map(drop))
 }

@@ -5,6 +5,7 @@ FOURDBODY_DEMO is the directory that `make demo` wrote.
 """
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -106,6 +107,18 @@ def test_photographs_of_one_instant_give_the_points_of_the_session(session, cali
     made = fb.reconstruct_images({camera: image for camera, image in images.items() if len(image)}, calibration)
     stored = result.cloud(trigger)
     assert np.array_equal(made.merged.xyz_m, stored.xyz_m) and np.array_equal(made.merged.normal, stored.normal)
+
+
+def test_the_memory_of_a_frame_is_kept_for_the_next_one(session, calibration, result):
+    """Memory that went back to the system would be mapped anew, page by page: some 4000 pages a photograph."""
+    images = {camera: session.frame(result.triggers[0], camera) for camera in session.cameras}
+    reconstruct = fb.Reconstructor(calibration)
+    faults = []
+    for _ in range(5):
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        reconstruct(images)
+        faults.append((resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before) / len(images))
+    assert min(faults[1:]) < 500, faults
 
 
 def test_a_session_becomes_a_result(session, calibration, tmp_path):

@@ -4,15 +4,14 @@
 use super::calibrate_live::{self, Live};
 use super::connect::Shown;
 use super::failure::{Failure, tell_lost};
-use super::reconstruct::open_source;
+use super::progress::Progress;
 use crate::base::Exit;
-use crate::base::ids::CameraId;
-use crate::calibrate::joined::Joined;
-use crate::calibrate::rigging::StageError;
-use crate::calibrate::{Board, Vertical, advice, report, run};
+use crate::calibrate::{Board, Vertical, run};
+use crate::calibrating;
 use crate::capture::participant::Participant;
 use crate::config::Rig;
 use crate::data::{Calibration, FrameSource};
+use std::ops::ControlFlow;
 use std::path::PathBuf;
 
 /// Calibrate all heads from photographs of the board: at each position one frame lit white, then one with fringes.
@@ -69,51 +68,31 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
     let rig = Rig::load(&args.rig)?;
     let board = Board::load(&args.board)?;
     let nominal = Calibration::nominal(&rig);
-    let cameras: Vec<CameraId> = nominal.cameras().map(|(_, camera)| camera.id.clone()).collect();
     let source = if args.live {
         let nodes = args.credentials.clients(&args.nodes)?;
         let nodes = nodes.into_iter().map(|node| Box::new(node) as Box<dyn Participant>).collect();
         let live = Live { nodes, base: args.name.clone(), triggers: args.triggers };
         calibrate_live::run(&live, &nominal, &board)?
     } else {
-        let mut joined = Joined::default();
-        for session in &args.session {
-            joined.push(vec![open_source(session, &cameras)?]);
-        }
-        joined
+        calibrating::open(&args.session, &nominal)?
     };
     let lost = tell_lost(source.lost());
     let upright = args.upright.iter().map(|&position| Vertical::Upright(position));
     let level = args.level.iter().map(|&position| Vertical::Level(position));
     let options = run::Options { partial: args.partial, verticals: upright.chain(level).collect() };
-    let outcome =
-        run::calibrate(&source, &nominal, &board, &options).map_err(|e| Failure::new(exit(&e), e))?;
-    outcome.calibration.save(&args.out).map_err(|e| Failure::new(Exit::Failure, e))?;
-    let report = |directory: &PathBuf| {
-        report::write(&outcome, directory)
-            .map_err(|e| Failure::new(Exit::Failure, format!("{}: {e}", directory.display())))
+    let progress = Progress::of("photographs", "frames");
+    let at = |done: usize, total: usize| {
+        progress.at(done as u64, total as u64);
+        ControlFlow::Continue(())
     };
-    let page = args.report.as_ref().map(report).transpose()?;
+    let files = (args.out.as_path(), args.report.as_deref());
+    let made = calibrating::calibrate(&source, &nominal, &board, &options, files, &at)?;
+    drop(progress);
     if args.json {
-        println!(
-            "{}",
-            serde_json::json!({
-                "calibration": args.out, "quality": outcome.calibration.quality, "findings": outcome.findings,
-                "advice": advice::advice(&outcome), "report": page,
-                "unreadable": source.lost().iter().map(ToString::to_string).collect::<Vec<_>>(),
-            })
-        );
+        println!("{}", made.json());
     } else {
-        outcome.lines().iter().for_each(|line| println!("{line}"));
-        page.iter().chain([&args.out]).for_each(|path| println!("{}", path.display()));
+        made.outcome.lines().iter().for_each(|line| println!("{line}"));
+        made.page.iter().chain([&made.out]).for_each(|path| println!("{}", path.display()));
     }
     Ok(if lost { Exit::Corrupt } else { Exit::Done })
-}
-
-/// A wrong number after `--upright` is an error of the command line, not of the photographs.
-fn exit(error: &run::CalibrateError) -> Exit {
-    match error {
-        run::CalibrateError::Stage { error: StageError::World(_), .. } => Exit::Usage,
-        _ => Exit::Failure,
-    }
 }

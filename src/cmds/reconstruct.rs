@@ -11,7 +11,6 @@ use crate::base::json;
 use crate::batch::binned::{BinnedSource, MOST_ROWS};
 use crate::batch::collect_shards::{self, Shards};
 use crate::batch::image_tree::ImageTree;
-use crate::batch::png_source::PngSource;
 use crate::batch::run::{self, Format, Plan};
 use crate::batch::summary::Summary;
 use crate::batch::timings::Timings;
@@ -21,7 +20,7 @@ use crate::reconstruct::fringe_order::{self, MostDifference};
 use crate::reconstruct::marker::epipolar_check::REMARKABLE_PX;
 use crate::reconstruct::pipeline::Method;
 use crate::reconstruct::triangulate::camera_projector::CameraProjector;
-use crate::record::{ReadError, SessionReader};
+use crate::record::SessionReader;
 use clap::ValueEnum;
 use staged::Staged;
 use std::io::IsTerminal;
@@ -145,18 +144,7 @@ enum MethodName {
 
 /// Opens a session: a directory of recordings, or of images.
 pub(super) fn open_source(path: &Path, cameras: &[CameraId]) -> Result<Box<dyn FrameSource>, Failure> {
-    open_by(path, cameras, SessionReader::open_frames)
-}
-
-fn open_by(
-    path: &Path,
-    cameras: &[CameraId],
-    open: impl Fn(&Path) -> Result<SessionReader, ReadError>,
-) -> Result<Box<dyn FrameSource>, Failure> {
-    if cameras.iter().any(|camera| path.join(camera.as_str()).is_dir()) {
-        return Ok(Box::new(PngSource::open(path, cameras).map_err(|e| Failure::new(Exit::Usage, e))?));
-    }
-    Ok(Box::new(open(path)?))
+    whole::open_source(path, cameras, SessionReader::open_frames)
 }
 
 /// Lets the allocator keep the memory of a frame for the next one. By default blocks of this size go back to the
@@ -189,7 +177,7 @@ impl What {
         let mut cameras = self.chosen_cameras(&calibration)?;
         // Of a part of a session there is no more than the indexes have.
         let open = if self.is_part { SessionReader::open_frames } else { SessionReader::open_timed };
-        let source = open_by(&self.session, &cameras, open)?;
+        let source = whole::open_source(&self.session, &cameras, open)?;
         if let Some(left_out) = ImageTree::remark(source.left_out()) {
             eprintln!("{left_out}");
         }

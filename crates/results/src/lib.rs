@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A session to a directory of results: planned, resumed, written, exported, spread over a cluster.
+//! Sessions to results and to calibrations: planned, resumed, written, exported, spread over a cluster.
 
 #![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]
 
+use fourdbody_calibrate as calibrate;
 #[cfg(test)]
 use fourdbody_core::config;
 use fourdbody_core::{base, data, geometry};
@@ -11,6 +12,8 @@ use fourdbody_record as record;
 
 /// A session reconstructed to a directory of results.
 pub mod batch;
+/// Photographs of the board to a calibration file, and whether a calibration still stands.
+pub mod calibrating;
 /// A reconstruction spread over a cluster.
 pub mod cluster;
 /// Clouds, meshes, pictures and tables in the formats of other programs.

@@ -3,15 +3,30 @@
 //! and the files that are made of all triggers.
 
 use super::files::summary_path;
+use super::png_source::PngSource;
 use super::run::{Plan, write_sequence};
 use super::strangers;
 use super::summary::Summary;
 use crate::base::ids::CameraId;
 use crate::base::{Exit, Fault};
 use crate::data::{Calibration, FrameSource, LostPart, SessionIdentity};
+use crate::record::{ReadError, SessionReader};
+use std::path::Path;
 
 /// The rate at which triggers without a time of their own are placed, Hz.
 pub const RATE_HZ: f64 = 120.0;
+
+/// Opens a session: a directory of recordings, which `open` reads, or of images.
+pub fn open_source(
+    path: &Path,
+    cameras: &[CameraId],
+    open: impl Fn(&Path) -> Result<SessionReader, ReadError>,
+) -> Result<Box<dyn FrameSource>, Fault> {
+    if cameras.iter().any(|camera| path.join(camera.as_str()).is_dir()) {
+        return Ok(Box::new(PngSource::open(path, cameras).map_err(Fault::usage)?));
+    }
+    Ok(Box::new(open(path)?))
+}
 
 /// Refuses a session and a calibration that do not have the same cameras: half a rig must not pass for a whole one.
 pub fn same_cameras(calibrated: &[CameraId], session: &SessionIdentity) -> Result<(), String> {
