@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,11 +19,35 @@ class Calibration:
 
     def __init__(self, source: str | os.PathLike[str] | Mapping[str, Any]):
         if isinstance(source, Mapping):
-            self._native = _native.Calibration.of_text(json.dumps(dict(source)))
+            self._keep(_native.Calibration.of_text(json.dumps(dict(source))))
         else:
-            self._native = _native.Calibration(os.fspath(source))
+            self._keep(_native.Calibration(os.fspath(source)))
+
+    def _keep(self, native: _native.Calibration) -> None:
+        self._native = native
         self.cameras: tuple[str, ...] = tuple(self._native.cameras())
         """Names of the cameras, in the order of camera numbers in merged clouds."""
+
+    @classmethod
+    def from_opencv(
+        cls,
+        *files: str | os.PathLike[str],
+        rig: str | os.PathLike[str] | None = None,
+        base: Calibration | None = None,
+        devices: Sequence[str] = (),
+        unit_mm: float | None = None,
+    ) -> Calibration:
+        """The calibration of OpenCV's files (YAML, XML, JSON, NPZ), of MATLAB's (JSON of `toStruct`) or of a scene.
+
+        Volume, pattern and the place of the first device are those of the `rig` file, or of the calibration `base`.
+        `devices`: which cameras the files' devices are in their order, or a head for its projector; empty: the cameras in
+        the rig's order, then the projector. `unit_mm`: the files' unit of length, mm, where they do not state it.
+        """
+        paths = [os.fspath(path) for path in files]
+        made = cls.__new__(cls)
+        rig = None if rig is None else os.fspath(rig)
+        made._keep(_native.Calibration.of_files(paths, rig, base and base._native, list(devices), unit_mm))
+        return made
 
     def content(self) -> dict[str, Any]:
         """The content of the file; `docs/reference/calibration.md` describes it."""

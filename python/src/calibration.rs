@@ -2,8 +2,10 @@
 //! A calibration: where the devices are, and what their pixels see.
 
 use crate::arrays;
-use crate::error::OrRaise;
-use fourdbody_core::base::Exit;
+use crate::error::{OrRaise, raise};
+use fourdbody_calibrate::foreign::import;
+use fourdbody_core::base::{Exit, Fault};
+use fourdbody_core::config::Rig;
 use fourdbody_core::data;
 use fourdbody_core::geometry::Device;
 use nalgebra::Point3;
@@ -35,6 +37,28 @@ impl Calibration {
         let expected = "expected the content of a calibration";
         let content = stated().map_err(|found: String| format!("{expected}; found: {found}"));
         Ok(Self { content: content.or_raise(py, Exit::Usage)? })
+    }
+
+    /// The calibration of another program's files; volume, pattern and the place of the first device are those of the rig
+    /// file, or of a calibration.
+    #[staticmethod]
+    fn of_files(
+        py: Python<'_>,
+        files: Vec<PathBuf>,
+        rig: Option<PathBuf>,
+        base: Option<&Self>,
+        devices: Vec<String>,
+        unit_mm: Option<f64>,
+    ) -> PyResult<Self> {
+        let base = match (rig, base) {
+            (Some(rig), None) => {
+                data::Calibration::nominal(&Rig::load(&rig).map_err(|e| raise(py, &Fault::from(e)))?)
+            }
+            (None, Some(base)) => base.content.clone(),
+            _ => return Err("expected rig or base, found both or none").or_raise(py, Exit::Usage),
+        };
+        let (content, ..) = import(&files, base, &devices, unit_mm).or_raise(py, Exit::Usage)?;
+        Ok(Self { content })
     }
 
     /// Writes the file, with its checksum.

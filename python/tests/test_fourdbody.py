@@ -181,3 +181,31 @@ def test_mistakes_are_errors_with_the_programs_words_and_codes(session, calibrat
         fb.reconstruct(session, calibration, tmp_path, triggers=range(0, 4, 2))
     small = fb.reconstruct_images({"h0_up": np.zeros((3, 4), np.uint8)}, calibration)
     assert len(small.merged) == 0 and "h0_up" in small.refused
+
+
+def test_a_pair_kept_by_opencv_is_the_same_pair(calibration, tmp_path):
+    cv2 = pytest.importorskip("cv2")
+    head = calibration.content()["heads"][0]
+    camera = head["cameras"][0]
+    storage = cv2.FileStorage(str(tmp_path / "pair.yml"), cv2.FILE_STORAGE_WRITE)
+    seen = []
+    for number, device in [(1, camera["device"]), (2, head["projector"])]:
+        lens, pose = device["lens"], device["world_from_device"]
+        matrix = np.array([[lens["fx"], 0, lens["cx"]], [0, lens["fy"], lens["cy"]], [0, 0, 1]], float)
+        storage.write(f"K{number}", matrix)
+        storage.write(f"D{number}", np.array(lens["distortion"]))
+        rotation = np.array(pose["rotation"])
+        seen.append((rotation.T, -rotation.T @ np.array(pose["translation_m"])))
+    turn = seen[1][0] @ seen[0][0].T
+    storage.write("R", turn)
+    storage.write("T", 1e3 * (seen[1][1] - turn @ seen[0][1]))
+    storage.release()
+    names = [camera["id"], head["id"]]
+    made = fb.Calibration.from_opencv(tmp_path / "pair.yml", base=calibration, devices=names, unit_mm=1)
+    points = np.random.default_rng(7).uniform([-0.3, -0.3, 0.7], [0.3, 0.3, 1.3], (100, 3))
+    for device in [camera["id"], f"projector {head['id']}"]:
+        assert np.abs(made.project(device, points) - calibration.project(device, points)).max() < 1e-6
+    assert made.cameras == calibration.cameras and made.content()["origin"].startswith("pair.yml of OpenCV")
+    with pytest.raises(fb.Error, match="unit of the translation") as error:
+        fb.Calibration.from_opencv(tmp_path / "pair.yml", base=calibration, devices=names)
+    assert error.value.code == 2

@@ -3,7 +3,7 @@
 
 use super::failure::{Failure, number_in, print};
 use crate::base::Exit;
-use crate::calibrate::foreign::{Foreign, device_mut};
+use crate::calibrate::foreign::{device_mut, import};
 use crate::config::Rig;
 use crate::data::Calibration;
 use std::path::PathBuf;
@@ -51,28 +51,13 @@ pub struct Import {
 
 impl Import {
     pub fn run(&self) -> Result<Exit, Failure> {
-        let mut calibration = match (&self.rig, &self.base) {
+        let base = match (&self.rig, &self.base) {
             (Some(rig), _) => Calibration::nominal(&Rig::load(rig)?),
             (_, Some(base)) => Calibration::load(base).map_err(Failure::usage)?,
             _ => return Err(Failure::usage("expected --rig or --base, found none")),
         };
-        let foreign = Foreign::read(&self.from).map_err(Failure::usage)?;
-        let names = match &self.devices[..] {
-            [] => foreign.usual_names(&calibration).map_err(Failure::usage)?,
-            names => names.to_vec(),
-        };
-        let files: Vec<String> = self
-            .from
-            .iter()
-            .filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned()))
-            .collect();
-        let origin = format!("{} of {}", files.join(", "), foreign.program);
-        foreign
-            .put(&mut calibration, &names, self.unit_mm, origin)
-            .map_err(|e| Failure::usage(format!("{}: {e}", files.join(", "))))?;
-        let text = calibration.text().map_err(Failure::failed)?;
-        // What is written can be read: it is checked as every calibration is.
-        Calibration::parse(text.as_bytes()).map_err(|e| Failure::usage(format!("found {e}")))?;
+        let (mut calibration, foreign, names) =
+            import(&self.from, base, &self.devices, self.unit_mm).map_err(Failure::usage)?;
         calibration.save(&self.out).map_err(Failure::failed)?;
         let mut first = None;
         let mut lines = Vec::new();

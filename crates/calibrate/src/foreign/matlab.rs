@@ -40,10 +40,12 @@ pub fn devices(all: &Map<String, Value>) -> Result<Foreign, String> {
 }
 
 fn device(name: &str, of: &Map<String, Value>, place: Place) -> Result<ForeignDevice, String> {
-    let told = |e: String| format!("{name}: {e}");
+    let of_device = |e: String| format!("{name}: {e}");
     let fisheye = |of: &Map<String, Value>| of.contains_key("MappingCoefficients");
     if fisheye(of) || of.get("Intrinsics").and_then(Value::as_object).is_some_and(fisheye) {
-        return Err(told("expected radial and tangential distortion, found the fisheye model".to_owned()));
+        return Err(of_device(
+            "expected radial and tangential distortion, found the fisheye model".to_owned(),
+        ));
     }
     let list = |key: &str| of.get(key).map(numbers).unwrap_or_default();
     let matrix = match (of.get("K"), of.get("IntrinsicMatrix")) {
@@ -51,16 +53,18 @@ fn device(name: &str, of: &Map<String, Value>, place: Place) -> Result<ForeignDe
         (_, Some(transposed)) => square(transposed).map(|m| m.transpose()),
         _ => Err("expected K or IntrinsicMatrix, found none".to_owned()),
     };
-    let mut matrix = matrix.map_err(told)?;
+    let mut matrix = matrix.map_err(of_device)?;
     matrix[(0, 2)] -= 1.0;
     matrix[(1, 2)] -= 1.0;
     let (radial, tangential) = (list("RadialDistortion"), list("TangentialDistortion"));
     let (2 | 3, 2) = (radial.len(), tangential.len()) else {
         let counts = [radial.len(), tangential.len()];
-        return Err(told(format!("expected 2 or 3 radial and 2 tangential coefficients, found {counts:?}")));
+        return Err(of_device(format!(
+            "expected 2 or 3 radial and 2 tangential coefficients, found {counts:?}"
+        )));
     };
     let k3 = radial.get(2).copied().unwrap_or(0.0);
-    let lens = lens(&matrix, &[radial[0], radial[1], tangential[0], tangential[1], k3]).map_err(told)?;
+    let lens = lens(&matrix, &[radial[0], radial[1], tangential[0], tangential[1], k3]).map_err(of_device)?;
     // Rows come first.
     let size =
         <[f64; 2]>::try_from(list("ImageSize")).ok().map(|[rows, columns]| [columns as usize, rows as usize]);

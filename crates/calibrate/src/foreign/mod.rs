@@ -60,7 +60,7 @@ impl Foreign {
     ///
     /// # Errors
     /// A file cannot be read, or what is missing in all of them together, or a model that [`Lens`] has not.
-    pub fn read<P: AsRef<Path>>(files: &[P]) -> Result<Self, String> {
+    fn read<P: AsRef<Path>>(files: &[P]) -> Result<Self, String> {
         let mut all = serde_json::Map::new();
         for file in files {
             let path = file.as_ref();
@@ -81,7 +81,7 @@ impl Foreign {
     ///
     /// # Errors
     /// There are fewer devices in the calibration, or several heads.
-    pub fn usual_names(&self, calibration: &Calibration) -> Result<Vec<String>, String> {
+    fn usual_names(&self, calibration: &Calibration) -> Result<Vec<String>, String> {
         if self.devices.iter().all(|device| matches!(device.place, Place::World(_))) {
             return Ok(self.devices.iter().map(|device| device.name.clone()).collect());
         }
@@ -109,7 +109,7 @@ impl Foreign {
     ///
     /// # Errors
     /// A name is not in it, a size differs, or the unit of length is not known.
-    pub fn put(
+    fn put(
         &self,
         calibration: &mut Calibration,
         names: &[String],
@@ -159,6 +159,33 @@ impl Foreign {
         calibration.heads.iter_mut().for_each(|head| head.rows = None);
         Ok(())
     }
+}
+
+/// A calibration with the devices of other programs' files in it, what the files state, and the names of its devices in
+/// the calibration. `names`: these names, or none for usual ones; `unit_mm`: the files' unit of
+/// length, where they do not state it.
+///
+/// # Errors
+/// A file is no calibration, or does not fit this one, or the calibration that comes out could not be read again.
+pub fn import<P: AsRef<Path>>(
+    files: &[P],
+    mut calibration: Calibration,
+    names: &[String],
+    unit_mm: Option<f64>,
+) -> Result<(Calibration, Foreign, Vec<String>), String> {
+    let foreign = Foreign::read(files)?;
+    let names = match names {
+        [] => foreign.usual_names(&calibration)?,
+        names => names.to_vec(),
+    };
+    let file_name = |path: &P| Some(path.as_ref().file_name()?.to_string_lossy().into_owned());
+    let files = files.iter().filter_map(file_name).collect::<Vec<String>>().join(", ");
+    let origin = format!("{files} of {}", foreign.program);
+    foreign.put(&mut calibration, &names, unit_mm, origin).map_err(|e| format!("{files}: {e}"))?;
+    // What is written can be read: it is checked as every calibration is.
+    let text = calibration.text().map_err(|e| format!("found {e}"))?;
+    let calibration = Calibration::parse(text.as_bytes()).map_err(|e| format!("found {e}"))?;
+    Ok((calibration, foreign, names))
 }
 
 /// The names of all devices: cameras, and heads for their projectors.

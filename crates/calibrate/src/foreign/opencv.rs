@@ -87,7 +87,7 @@ pub fn devices(all: &Map<String, Value>) -> Result<Foreign, String> {
         let (distortion_name, distortion) =
             required("distortion, zeros where there is none,", names.distortion)?;
         let name = format!("{matrix_name}, {distortion_name}");
-        let told = |e: String| format!("{name}: {e}");
+        let of_device = |e: String| format!("{name}: {e}");
         let place = if devices.is_empty() {
             Place::First
         } else {
@@ -99,14 +99,14 @@ pub fn devices(all: &Map<String, Value>) -> Result<Foreign, String> {
             let (rotation, shift) = (required("R", rotation)?, required("T", shift)?);
             let shift = numbers(shift.1);
             if shift.len() != 3 {
-                return Err(told(format!(
+                return Err(of_device(format!(
                     "expected three numbers of the translation, found {}",
                     shift.len()
                 )));
             }
-            Place::FromFirst(square(rotation.1).map_err(told)?, Vector3::from_column_slice(&shift))
+            Place::FromFirst(square(rotation.1).map_err(of_device)?, Vector3::from_column_slice(&shift))
         };
-        let lens = lens(&square(matrix).map_err(told)?, &numbers(distortion)).map_err(told)?;
+        let lens = lens(&square(matrix).map_err(of_device)?, &numbers(distortion)).map_err(of_device)?;
         let is_projector = names.what == PROJECTOR.what;
         // The one size is the first camera's: the second device may be a projector.
         let size = size.filter(|_| devices.is_empty());
