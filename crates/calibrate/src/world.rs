@@ -140,7 +140,8 @@ fn vertical_turn(
     Ok(UnitQuaternion::rotation_between(&sum, &up).unwrap_or_default())
 }
 
-/// The middle of the boards' corners: turned about it, the world stays where the fit has put it.
+/// The middle of the corners of all boards. The world is turned about this point, so that the boards stay near where the
+/// fit has placed them.
 fn middle(model: &Model, board: &Board) -> Point3<f64> {
     let corners = board.corners();
     let all = model.boards.iter().flat_map(|pose| corners.iter().map(move |c| (pose * c).coords));

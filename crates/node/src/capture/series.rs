@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Series {
-    /// Each take; with several of them its name gets `-01`, `-02`, ...
+    /// The request for each take; where there are several, its name gets `-01`, `-02`, ...
     pub wish: CaptureRequest,
     /// How many, at least one.
     #[serde(default = "one")]

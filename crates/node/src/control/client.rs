@@ -31,7 +31,7 @@ enum Place {
     Tcp { host: String, port: u16, authority: String, tls: bool },
 }
 
-/// What a client shows, and whom it believes.
+/// How a client proves who it is, and which certificates it accepts.
 #[derive(Debug, Clone, Default)]
 pub struct Credentials {
     /// The file with the secret of its token; only its owner may read it.

@@ -58,7 +58,7 @@ impl InputLines {
                 continue;
             }
             let mut next = asked;
-            // A number twice, or one that goes back, is none of the protocol's.
+            // Edges whose number was seen before are left out: the protocol numbers each edge once, in rising order.
             for edge in answer.edges.as_slice().iter().filter(|edge| edge.number >= asked) {
                 if edge.number > next {
                     let message =

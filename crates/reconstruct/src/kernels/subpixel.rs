@@ -268,8 +268,8 @@ impl Light {
     }
 }
 
-/// A block of a padded row from behind `first` on, of which the compiler does not know that it has most of it already:
-/// it would put it together from that instead of loading it.
+/// The block of a padded row that begins one value after `first`. The two blocks overlap; `black_box` makes the compiler
+/// load the second, which is faster than shuffling it from the first.
 #[inline(always)]
 fn next_of(padded: &[f32], first: usize) -> &Lanes {
     black_box(chunk(padded, first + 1))

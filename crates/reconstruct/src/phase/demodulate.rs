@@ -51,7 +51,7 @@ const GAINS: usize = 2048;
 pub(crate) const MAX_HALF: f32 = GAIN_MAX_PX / 2.0;
 
 impl Gains {
-    /// The table, from the interpolated cosine and sine themselves.
+    /// Computes the table from the same interpolated cosine and sine that the demodulation uses.
     pub fn new() -> Self {
         let gain = |i: usize| {
             let period = (i as f32 / GAINS_PER_PX).clamp(2.0, GAIN_MAX_PX);
