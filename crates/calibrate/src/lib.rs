@@ -12,9 +12,7 @@
 //! `docs/design/calibration.md` has the steps and the definitions.
 #![allow(missing_docs, reason = "fields and variants whose names say it carry no comment")]
 
-#[cfg(feature = "validate")]
-use fourdbody_core::formats;
-use fourdbody_core::{base, config, data, geometry};
+use fourdbody_core::{base, config, data, formats, geometry};
 use fourdbody_reconstruct as reconstruct;
 
 pub mod advice;
@@ -47,7 +45,6 @@ mod spots;
 mod stages;
 mod start;
 /// Figures of merit: clouds against the truth (paper, section 5).
-#[cfg(feature = "validate")]
 pub mod validate;
 pub mod views;
 mod world;
