@@ -48,7 +48,7 @@ const VOLUME_MARGIN_M: f64 = 0.10;
 /// The most fringes that a volume is deep which tells fringes apart by itself. What lies in front of it or behind it by
 /// less than the rest of a fringe falls out, and is not taken for something within.
 const SHALLOW: f64 = 0.8;
-/// Pixels from one ray to the next that are looked at for it.
+/// Pixels between the rays whose depth is measured for that.
 const SHALLOW_STEP_PX: usize = 32;
 
 impl CameraProjector {
