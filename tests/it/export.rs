@@ -115,6 +115,9 @@ fn every_format_of_points_and_triangles_opens_elsewhere_with_the_same_numbers() 
     let bytes = |dir: &Path, file: &str| std::fs::read(dir.join(file)).expect("was written");
     assert!(bytes(&from, "merged/000005.ply") == bytes(&out, "merged/000005.ply"));
     assert!(bytes(&from, "clouds/h0_up_000005.ply") == bytes(&out, "clouds/h0_up_000005.ply"));
+    let (plain, narrow) = (dir.path().join("plain"), dir.path().join("narrow"));
+    exported(&from, &plain, &["--to", "xyz", "--no-comments"]);
+    exported(&from, &narrow, &["--to", "xyz", "--no-comments", "--columns", "6"]);
     exported(&from, &out, &["--to", "ply,ply-ascii,glb,obj", "--mesh", "grid"]);
     exported(&from, &out, &["--to", "ply,ply-ascii,glb,obj", "--mesh", "watertight"]);
     let Some(found) = read_by_others(&["clouds", &dir.path().display().to_string()]) else { return };

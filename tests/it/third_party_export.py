@@ -62,6 +62,13 @@ def clouds(directory):
     names = "x y z nx ny nz intensity u v camera sigma".split()
     table(lambda name: xyz[:, names.index(name)], expected, "xyz")
     same(xyz[:, 3:6], expected["n"], "xyz normals")
+    # Readers that do not know `#` get the same rows, and those that know six columns get six.
+    rows = Path(f"{merged}.xyz").read_text().splitlines()
+    plain = (directory / "plain/merged/000005.xyz").read_text().splitlines()
+    assert plain == [row for row in rows if not row.startswith("#")], "xyz without comments"
+    narrow = (directory / "narrow/merged/000005.xyz").read_text().splitlines()
+    assert narrow == [" ".join(row.split()[:6]) for row in plain], "xyz of six columns"
+    same(trimesh.load(directory / "plain/merged/000005.xyz").vertices, expected["p"], "xyz in trimesh")
 
     scans = pye57.E57(f"{merged}.e57")
     assert scans.scan_count == len(CAMERAS), scans.scan_count

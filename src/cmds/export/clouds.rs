@@ -77,7 +77,13 @@ fn plan(args: &Args, source: &dyn CloudSource) -> Result<Plan, Failure> {
     let known: Vec<&str> = source.cameras().iter().map(|(_, name)| name.as_str()).collect();
     let first = source.triggers().first_key_value().map_or(0, |(trigger, _)| *trigger);
     let last = source.triggers().last_key_value().map_or(0, |(trigger, _)| *trigger);
-    let formats: Vec<Format> = args.to.iter().filter_map(|target| target.format()).collect();
+    let xyz =
+        Format::Xyz { comments: !args.no_comments, columns: args.columns.map_or(usize::MAX, usize::from) };
+    if xyz != Format::XYZ && !args.to.contains(&Target::Xyz) {
+        return Err(usage("--no-comments and --columns: are for --to xyz".to_owned()));
+    }
+    let chosen = |format| if format == Format::XYZ { xyz } else { format };
+    let formats: Vec<Format> = args.to.iter().filter_map(|target| target.format()).map(chosen).collect();
     let grid = GridLimits { stretch: args.stretch, ..GridLimits::default() };
     let mesh = args.mesh.map(|mesh| match mesh {
         MeshName::Grid => MeshKind::Grid(grid),
@@ -88,7 +94,8 @@ fn plan(args: &Args, source: &dyn CloudSource) -> Result<Plan, Failure> {
     if mesh.is_some() {
         if let Some(format) = formats.iter().find(|format| !format.holds_triangles()) {
             return Err(usage(format!(
-                "--mesh: {format:?} holds points only; use ply, ply-ascii, glb or obj"
+                "--mesh: {} holds points only; use ply, ply-ascii, glb or obj",
+                format.extension()
             )));
         }
         if args.to.contains(&Target::Mcap) {

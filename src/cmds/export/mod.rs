@@ -71,6 +71,12 @@ pub struct Args {
     /// With --mesh watertight: side of the cells that the surface is found on, mm.
     #[arg(long, value_name = "MM", default_value_t = 5.0, value_parser = parse_cell)]
     cell: f64,
+    /// With --to xyz: without the lines that begin with #, for readers that do not skip them.
+    #[arg(long)]
+    no_comments: bool,
+    /// With --to xyz: only the first N columns, for readers that know no more: 3 places, 6 with normals, 7 with intensity.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(3..=11))]
+    columns: Option<u8>,
     /// With --to mcap: round places to steps of at most this, mm (0.02 is far below the measurement's uncertainty),
     /// normals and intensities likewise, and compress: less than half of the bytes.
     #[arg(long, value_name = "MM", value_parser = parse_step)]
@@ -136,7 +142,7 @@ impl Target {
             Self::Ply => Some(Format::Ply),
             Self::PlyAscii => Some(Format::PlyAscii),
             Self::Pcd => Some(Format::Pcd),
-            Self::Xyz => Some(Format::Xyz),
+            Self::Xyz => Some(Format::XYZ),
             Self::E57 => Some(Format::E57),
             Self::Glb => Some(Format::Glb),
             Self::Obj => Some(Format::Obj),
