@@ -314,6 +314,11 @@ fn the_closed_mesh_of_a_rendered_ball_has_its_volume() {
         run::run(&Frames(frames, cameras), &calibration, &plan, run::to_the_end).expect("runs");
     assert_eq!(summary.clouds, 8, "{summary:?}");
     summary.save(&plan.out.join("summary.json")).expect("writable");
+    // A format that has a place for uncertainties says that there are none.
+    let says = |to: &str| {
+        text_of(&export(&plan.out, &dir.path().join("said"), &["--to", to])).contains("--uncertainty")
+    };
+    assert!(says("pcd") && !says("e57"));
     // From stored phase maps, with the calibration beside them, or with the one that is given.
     let (out, beside) = (dir.path().join("out"), plan.out.join("calibration.json"));
     exported(&plan.out, &out, &["--to", "ply", "--mesh", "grid"]);

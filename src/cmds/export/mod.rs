@@ -8,11 +8,14 @@ use super::failure::{Failure, tell_amiss, tell_made_up_times};
 use super::progress::Progress;
 use crate::base::Exit;
 use crate::batch::from_phase_maps;
+use crate::batch::key::Key;
+use crate::batch::plan::method_name;
 use crate::batch::result::calibration_of;
 use crate::data::Calibration;
 use crate::export::frames::Picture;
 use crate::formats::Format;
 use crate::formats::sequence::STEPS_M;
+use crate::reconstruct::pipeline::Method;
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -171,6 +174,9 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
         .num_threads(args.jobs.unwrap_or(0))
         .build()
         .map_err(|e| Failure::new(Exit::Failure, e))?;
+    if of_session == 0 {
+        tell_no_sigma(args);
+    }
     match of_session {
         0 if is_plain(args) => pool.install(|| everything(args)),
         0 => pool.install(|| clouds::run(args)),
@@ -180,6 +186,19 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
                  export them one after the other";
             Err(Failure::new(Exit::Usage, message))
         }
+    }
+}
+
+/// Says that points lack their uncertainty, where a wanted format has a place for it.
+fn tell_no_sigma(args: &Args) {
+    let has_none = |key: &Key| !key.uncertainty && key.method == method_name(Method::Joint);
+    let holds = |target: &Target| target.format().map_or(*target == Target::Mcap, Format::holds_sigma);
+    // A key that cannot be read is reported where it is needed.
+    if Key::load(&args.directory).ok().flatten().as_ref().is_some_and(has_none) && args.to.iter().any(holds) {
+        eprintln!(
+            "the points have no sigma (standard uncertainty): {} was reconstructed without --uncertainty",
+            args.directory.display()
+        );
     }
 }
 

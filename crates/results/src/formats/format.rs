@@ -54,6 +54,11 @@ impl Format {
         matches!(self, Self::Ply | Self::PlyAscii | Self::Glb | Self::Obj)
     }
 
+    /// Whether it can hold the uncertainty of points.
+    pub fn holds_sigma(self) -> bool {
+        !matches!(self.extension(), "e57" | "obj")
+    }
+
     /// Writes a file, which is never half there. Triangles are an error where the format has no place for them.
     pub fn save(self, path: &Path, shape: &Shape<'_>) -> io::Result<()> {
         if !shape.triangles.is_empty() && !self.holds_triangles() {
