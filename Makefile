@@ -51,7 +51,8 @@ GENICAM := genicam==1.6.0
 
 # Third parties that the tests talk to; a test whose program is absent says so and is skipped.
 test-packages: packages
-	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark chromium chromium-driver slurm-wlm munge
+	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark chromium chromium-driver slurm-wlm munge \
+		ffmpeg
 	@scripts/make-venv.sh tests/.venv $(READERS)
 	@scripts/make-venv.sh tests/.venv-genicam $(GENICAM)
 	@scripts/install-tool.sh s3s-fs 0.14.1 --debug --features binary

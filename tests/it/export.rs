@@ -154,6 +154,33 @@ fn frames_and_times_of_a_session_open_elsewhere() {
     assert_eq!(found["frames"], 11);
 }
 
+/// Each pixel of a picture is the intensity of the point that was seen there; a video has the pictures at their places.
+#[test]
+fn images_without_fringes_open_elsewhere() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let (from, out) = (dir.path().join("in"), dir.path().join("out"));
+    let cloud = reconstruction(&from, &[3, 5]);
+    std::fs::write(dir.path().join("expected.bin"), expected_bytes(&cloud)).expect("writable");
+    calibration().save(&from.join("calibration.json")).expect("writable");
+    let found = exported(&from, &out, &["--to", "intensity-png"]);
+    assert_eq!((&found["written"], &found["empty"]), (&4.into(), &0.into()));
+    let again = exported(&from, &out, &["--to", "intensity-png"]);
+    assert_eq!((&again["written"], &again["skipped"]), (&0.into(), &4.into()));
+    let with_video = Command::new("ffmpeg").arg("-version").output().is_ok();
+    if with_video {
+        let output = export(&from, &out, &["--to", "mp4", "--rate-hz", "60", "--cameras", "h1_low"]);
+        let text = text_of(&output);
+        assert_eq!(output.status.code(), Some(3), "trigger 4 has no cloud: {text}");
+        assert!(text.contains("3 frames, 60 Hz; the first is trigger 3"), "{text}");
+    } else {
+        println!("skipped: videos: no ffmpeg (`make test` installs it)");
+    }
+    let videos = if with_video { "1" } else { "0" };
+    let Some(found) = read_by_others(&["images", &dir.path().display().to_string(), videos]) else { return };
+    println!("{found}");
+    assert_eq!(found["pictures"], 4);
+}
+
 #[test]
 fn an_interrupted_export_goes_on_and_what_changed_is_made_again() {
     let dir = tempfile::tempdir().expect("a temporary directory");
@@ -204,6 +231,16 @@ fn wrong_requests_are_refused_and_damage_is_listed() {
     refused(&["--to", "png"], "expected a session");
     refused(&["--to", "glb", "--quantize", "0.02"], "mcap");
     refused(&["--to", "mcap", "--quantize", "0"], "millimetres");
+    refused(&["--to", "pcd", "--no-comments"], "--to xyz");
+    refused(&["--to", "intensity-png", "--mesh", "grid"], "points only");
+    refused(&["--to", "intensity-png"], "calibration.json");
+    let mut command = Command::new(FOURDBODY);
+    let command = command.arg("export").arg(&from).args(["--to", "mp4", "--out"]).arg(&out).env("PATH", "");
+    let output = command.output().expect("the program runs");
+    assert_eq!(output.status.code(), Some(2), "there is no encoder");
+    assert!(text_of(&output).contains("install ffmpeg"), "{}", text_of(&output));
+    exported(&from, &out, &["--to", "xyz", "--triggers", "0"]);
+    refused(&["--to", "xyz", "--triggers", "0", "--no-comments"], "give another directory");
     assert_eq!(export(&from, &from, &["--to", "ply"]).status.code(), Some(2), "it would write what it reads");
     assert_eq!(export(dir.path(), &out, &["--to", "pcd"]).status.code(), Some(2), "there are no clouds");
 

@@ -2,6 +2,7 @@
 """Opens exported files with readers that are not ours, and compares them with what they were made of.
 
     third_party_export.py clouds DIR      DIR/expected.bin, DIR/out
+    third_party_export.py images DIR 0|1  the same; whether there are videos
     third_party_export.py frames DIR      DIR/out, of `recording::record`
     third_party_export.py sequence FILE CAMERA TRIGGER_TIME_NS
     third_party_export.py ball CLOSED_MESH GRID_MESH X Y Z RADIUS
@@ -164,6 +165,35 @@ def solid(path):
     # Corners as they are: merging them would hide open edges.
     mesh = trimesh.load(path, process=False, maintain_order=True)
     return mesh.to_geometry() if hasattr(mesh, "to_geometry") else mesh
+
+
+def images(directory, videos):
+    from PIL import Image
+
+    directory = Path(directory)
+    expected = np.fromfile(directory / "expected.bin", POINT)
+    count = 0
+    for number, camera in CAMERAS.items():
+        part = expected[expected["camera"] == number]
+        picture = np.zeros((1200, 1920), np.uint8)
+        picture[part["uv"][:, 1], part["uv"][:, 0]] = np.floor((np.float32(255) * part["i"]).astype(float) + 0.5)
+        for trigger in (3, 5):
+            with Image.open(directory / f"out/intensity/{camera}/{trigger:06d}.png") as image:
+                assert image.mode == "L"
+                same(image, picture, f"{camera} {trigger}")
+                count += 1
+    if int(videos):
+        import cv2
+
+        video = cv2.VideoCapture(str(directory / "out/intensity/h1_low.mp4"))
+        assert video.get(cv2.CAP_PROP_FPS) == 60 and video.get(cv2.CAP_PROP_FRAME_COUNT) == 3
+        for shown in (picture, 0 * picture, picture):
+            is_there, image = video.read()
+            assert is_there and image.shape == (1200, 1920, 3), "a frame of the video"
+            # Coded with loss.
+            assert abs(image[..., 0].astype(float) - shown).mean() < 1, "another picture"
+        assert not video.read()[0], "one frame too many"
+    return {"pictures": count}
 
 
 def frames(directory):

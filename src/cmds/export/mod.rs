@@ -21,8 +21,8 @@ use std::path::PathBuf;
 
 /// Write clouds, meshes, frames and times as files that other programs read.
 ///
-/// Of a reconstruction: point clouds and triangle meshes in the formats of --to, or one sequence (mcap). Of a
-/// session: its frames (png, tiff) and when each of them was (csv). Files that are finished and not older than what
+/// Of a reconstruction: point clouds and triangle meshes in the formats of --to, one sequence (mcap), or images without
+/// fringes (intensity-png, mp4). Of a session: its frames (png, tiff) and when each of them was (csv). Files that are finished and not older than what
 /// they are made of are kept, so that an interrupted run goes on where it was. docs/guide/exporting.md describes what
 /// each format holds and which programs open it.
 ///
@@ -119,6 +119,10 @@ enum Target {
     Obj,
     /// A sequence of clouds, foxglove.PointCloud in MCAP.
     Mcap,
+    /// Fringe-free images (`intensity` of the points at their pixels), 8-bit grey, a PNG file a frame.
+    IntensityPng,
+    /// Fringe-free images as a video a camera; needs ffmpeg.
+    Mp4,
     /// Frames of a session, 8-bit grey, compressed.
     Png,
     /// Frames of a session, 8-bit grey, not compressed.
@@ -149,7 +153,7 @@ impl Target {
             Self::E57 => Some(Format::E57),
             Self::Glb => Some(Format::Glb),
             Self::Obj => Some(Format::Obj),
-            Self::Mcap | Self::Png | Self::Tiff | Self::Csv => None,
+            Self::Mcap | Self::IntensityPng | Self::Mp4 | Self::Png | Self::Tiff | Self::Csv => None,
         }
     }
 
