@@ -88,9 +88,6 @@ fn plan(args: &Args, source: &dyn CloudSource) -> Result<Plan, Failure> {
     let last = source.triggers().last_key_value().map_or(0, |(trigger, _)| *trigger);
     let xyz =
         Format::Xyz { comments: !args.no_comments, columns: args.columns.map_or(usize::MAX, usize::from) };
-    if xyz != Format::XYZ && !args.to.contains(&Target::Xyz) {
-        return Err(usage("--no-comments and --columns: are for --to xyz".to_owned()));
-    }
     let chosen = |format| if format == Format::XYZ { xyz } else { format };
     let formats: Vec<Format> = args.to.iter().filter_map(|target| target.format()).map(chosen).collect();
     let grid = GridLimits { stretch: args.stretch, ..GridLimits::default() };

@@ -173,6 +173,9 @@ impl Target {
 /// Runs `fourdbody export` with these arguments.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     super::reconstruct::keep_freed_memory();
+    if (args.no_comments || args.columns.is_some()) && !args.to.contains(&Target::Xyz) {
+        return Err(Failure::usage("--no-comments and --columns: are for --to xyz"));
+    }
     let of_session = args.to.iter().filter(|target| target.is_of_session()).count();
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.jobs.unwrap_or(0))

@@ -81,7 +81,7 @@ impl FrameSource for Intensity<'_> {
     }
 }
 
-/// Which videos are written.
+/// Which videos are written, where, and of which triggers.
 #[derive(Debug)]
 pub struct VideoPlan<'a> {
     pub out: &'a Path,
