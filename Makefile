@@ -42,7 +42,7 @@ packages:
 	@scripts/install-packages.sh gcc pkg-config libaravis-dev libusb-1.0-0-dev
 
 # Readers of our files that are not ours. Open3D (600 MB installed) is left out; the tests use it where it is found:
-# FOURDBODY_TEST_PYTHON=PYTHON of an environment with $(READERS) open3d-cpu==0.20.0.
+# FOURDBODY_TEST_PYTHON=PYTHON of an environment with $(READERS) open3d-cpu==0.20.0 pymeshlab pyvista.
 READERS := mcap==1.6.0 mcap-protobuf-support==0.5.3 numpy==2.4.6 trimesh==5.2.0 plyfile==1.1.5 pypcd4==1.5.1 \
 	pye57==0.4.19 pygltflib==1.16.5 pillow==13.0.0 tifffile==2026.3.3 opencv-python-headless==5.0.0.93
 

@@ -123,6 +123,13 @@ fn every_format_of_points_and_triangles_opens_elsewhere_with_the_same_numbers() 
     let Some(found) = read_by_others(&["clouds", &dir.path().display().to_string()]) else { return };
     println!("{found}");
     assert_eq!(found["points"], cloud.len());
+    // The guide's table of readers, for those that are installed.
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut readers = Command::new(python().expect("it has run"));
+    let readers = readers.arg(root.join("tests/it/third_party_readers.py")).arg(dir.path());
+    let output = readers.arg(root.join("docs/guide/exporting.md")).output().expect("Python runs");
+    assert!(output.status.success(), "{}", text_of(&output));
+    println!("{}", String::from_utf8_lossy(&output.stdout));
     let (pi, radius) = (std::f64::consts::PI, f64::from(RADIUS));
     // Each half to where it is turned by 75 to 85 degrees.
     let zones = |degrees: f64| 4.0 * pi * radius * radius * (1.0 - degrees.to_radians().cos());
