@@ -19,8 +19,10 @@ AXES = "xyz"
 
 def numpy(path):
     rows = np.loadtxt(path)
-    named = {"P": rows[:, :3], "N": rows[:, 3:6]}
-    return named | ({"I": rows[:, 6], "U": rows[:, 7:9], "K": rows[:, 9], "S": rows[:, 10]} if rows.shape[1] > 6 else {})
+    found = {"P": rows[:, :3], "N": rows[:, 3:6]}
+    if rows.shape[1] > 6:
+        found |= {"I": rows[:, 6], "U": rows[:, 7:9], "K": rows[:, 9], "S": rows[:, 10]}
+    return found
 
 
 def columns(get, normals="nx ny nz"):

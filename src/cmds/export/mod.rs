@@ -22,9 +22,9 @@ use std::path::PathBuf;
 /// Write clouds, meshes, frames and times as files that other programs read.
 ///
 /// Of a reconstruction: point clouds and triangle meshes in the formats of --to, one sequence (mcap), or images without
-/// fringes (intensity-png, mp4). Of a session: its frames (png, tiff) and when each of them was (csv). Files that are finished and not older than what
-/// they are made of are kept, so that an interrupted run goes on where it was. docs/guide/exporting.md describes what
-/// each format holds and which programs open it.
+/// fringes (intensity-png, mp4). Of a session: its frames (png, tiff) and when each of them was (csv). Files that are
+/// finished and not older than what they are made of are kept, so that an interrupted run goes on where it was.
+/// docs/guide/exporting.md describes what each format holds and which programs open it.
 ///
 /// Without --to, --clouds, --mesh, --triggers and --cameras, phase maps become the files that `reconstruct --format
 /// ply` writes, byte for byte: clouds/, merged/ and sequence.mcap.
@@ -77,7 +77,8 @@ pub struct Args {
     /// With --to xyz: without the lines that begin with #, for readers that do not skip them.
     #[arg(long)]
     no_comments: bool,
-    /// With --to xyz: only the first N columns, for readers that know no more: 3 places, 6 with normals, 7 with intensity.
+    /// With --to xyz: only the first N columns, for readers that know no more: 3 places, 6 with normals, 7 with
+    /// intensity.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(3..=11))]
     columns: Option<u8>,
     /// With --to mcap: round places to steps of at most this, mm (0.02 is far below the measurement's uncertainty),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The fringe-free images of a reconstruction: the light over one fringe, which clouds have as `intensity`, at the pixels
-//! of the photograph; black where there is no point.
+//! The fringe-free images of a reconstruction: the light over one fringe, which clouds have as `intensity`, at the
+//! pixels of the photograph; black where there is no point.
 //!
 //! ```text
 //! OUT/CAMERA/INDEX.png    as the photographs of `fourdbody export --to png`
