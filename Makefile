@@ -43,7 +43,7 @@ packages:
 	@scripts/install-packages.sh gcc pkg-config libaravis-dev libusb-1.0-0-dev
 
 # Readers of our files that are not ours. Open3D (600 MB installed) is left out; the tests use it where it is found:
-# FOURDBODY_TEST_PYTHON=PYTHON of an environment with $(READERS) open3d-cpu==0.20.0.
+# FOURDBODY_TEST_PYTHON=PYTHON of an environment with $(READERS) open3d-cpu==0.20.0 pymeshlab pyvista.
 READERS := mcap==1.6.0 mcap-protobuf-support==0.5.3 numpy==2.4.6 trimesh==5.2.0 plyfile==1.1.5 pypcd4==1.5.1 \
 	pye57==0.4.19 pygltflib==1.16.5 pillow==13.0.0 tifffile==2026.3.3 opencv-python-headless==5.0.0.93
 
@@ -52,7 +52,8 @@ GENICAM := genicam==1.6.0
 
 # Third parties that the tests talk to; a test whose program is absent says so and is skipped.
 test-packages: packages
-	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark chromium chromium-driver slurm-wlm munge
+	@scripts/install-packages.sh aravis-tools aravis-tools-cli python3-venv tshark chromium chromium-driver slurm-wlm munge \
+		ffmpeg
 	@scripts/make-venv.sh tests/.venv $(READERS)
 	@scripts/make-venv.sh tests/.venv-genicam $(GENICAM)
 	@scripts/install-tool.sh s3s-fs 0.14.1 --debug --features binary

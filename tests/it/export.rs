@@ -115,11 +115,21 @@ fn every_format_of_points_and_triangles_opens_elsewhere_with_the_same_numbers() 
     let bytes = |dir: &Path, file: &str| std::fs::read(dir.join(file)).expect("was written");
     assert!(bytes(&from, "merged/000005.ply") == bytes(&out, "merged/000005.ply"));
     assert!(bytes(&from, "clouds/h0_up_000005.ply") == bytes(&out, "clouds/h0_up_000005.ply"));
+    let (plain, narrow) = (dir.path().join("plain"), dir.path().join("narrow"));
+    exported(&from, &plain, &["--to", "xyz", "--no-comments"]);
+    exported(&from, &narrow, &["--to", "xyz", "--no-comments", "--columns", "6"]);
     exported(&from, &out, &["--to", "ply,ply-ascii,glb,obj", "--mesh", "grid"]);
     exported(&from, &out, &["--to", "ply,ply-ascii,glb,obj", "--mesh", "watertight"]);
     let Some(found) = read_by_others(&["clouds", &dir.path().display().to_string()]) else { return };
     println!("{found}");
     assert_eq!(found["points"], cloud.len());
+    // The guide's table of readers, for those that are installed.
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut readers = Command::new(python().expect("it has run"));
+    let readers = readers.arg(root.join("tests/it/third_party_readers.py")).arg(dir.path());
+    let output = readers.arg(root.join("docs/guide/exporting.md")).output().expect("Python runs");
+    assert!(output.status.success(), "{}", text_of(&output));
+    println!("{}", String::from_utf8_lossy(&output.stdout));
     let (pi, radius) = (std::f64::consts::PI, f64::from(RADIUS));
     // Each half to where it is turned by 75 to 85 degrees.
     let zones = |degrees: f64| 4.0 * pi * radius * radius * (1.0 - degrees.to_radians().cos());
@@ -149,6 +159,33 @@ fn frames_and_times_of_a_session_open_elsewhere() {
     assert_eq!((&found["frames"]["skipped"], &found["frames"]["written"]), (&11.into(), &0.into()));
     let Some(found) = read_by_others(&["frames", &dir.path().display().to_string()]) else { return };
     assert_eq!(found["frames"], 11);
+}
+
+/// Each pixel of a picture is the intensity of the point that was seen there; a video has the pictures at their places.
+#[test]
+fn images_without_fringes_open_elsewhere() {
+    let dir = tempfile::tempdir().expect("a temporary directory");
+    let (from, out) = (dir.path().join("in"), dir.path().join("out"));
+    let cloud = reconstruction(&from, &[3, 5]);
+    std::fs::write(dir.path().join("expected.bin"), expected_bytes(&cloud)).expect("writable");
+    calibration().save(&from.join("calibration.json")).expect("writable");
+    let found = exported(&from, &out, &["--to", "intensity-png"]);
+    assert_eq!((&found["written"], &found["empty"]), (&4.into(), &0.into()));
+    let again = exported(&from, &out, &["--to", "intensity-png"]);
+    assert_eq!((&again["written"], &again["skipped"]), (&0.into(), &4.into()));
+    let with_video = Command::new("ffmpeg").arg("-version").output().is_ok();
+    if with_video {
+        let output = export(&from, &out, &["--to", "mp4", "--rate-hz", "60", "--cameras", "h1_low"]);
+        let text = text_of(&output);
+        assert_eq!(output.status.code(), Some(3), "trigger 4 has no cloud: {text}");
+        assert!(text.contains("3 frames, 60 Hz; the first is trigger 3"), "{text}");
+    } else {
+        println!("skipped: videos: no ffmpeg (`make test` installs it)");
+    }
+    let videos = if with_video { "1" } else { "0" };
+    let Some(found) = read_by_others(&["images", &dir.path().display().to_string(), videos]) else { return };
+    println!("{found}");
+    assert_eq!(found["pictures"], 4);
 }
 
 #[test]
@@ -201,6 +238,16 @@ fn wrong_requests_are_refused_and_damage_is_listed() {
     refused(&["--to", "png"], "expected a session");
     refused(&["--to", "glb", "--quantize", "0.02"], "mcap");
     refused(&["--to", "mcap", "--quantize", "0"], "millimetres");
+    refused(&["--to", "pcd", "--no-comments"], "--to xyz");
+    refused(&["--to", "intensity-png", "--mesh", "grid"], "points only");
+    refused(&["--to", "intensity-png"], "calibration.json");
+    let mut command = Command::new(FOURDBODY);
+    let command = command.arg("export").arg(&from).args(["--to", "mp4", "--out"]).arg(&out).env("PATH", "");
+    let output = command.output().expect("the program runs");
+    assert_eq!(output.status.code(), Some(2), "there is no encoder");
+    assert!(text_of(&output).contains("install ffmpeg"), "{}", text_of(&output));
+    exported(&from, &out, &["--to", "xyz", "--triggers", "0"]);
+    refused(&["--to", "xyz", "--triggers", "0", "--no-comments"], "give another directory");
     assert_eq!(export(&from, &from, &["--to", "ply"]).status.code(), Some(2), "it would write what it reads");
     assert_eq!(export(dir.path(), &out, &["--to", "pcd"]).status.code(), Some(2), "there are no clouds");
 
@@ -311,6 +358,11 @@ fn the_closed_mesh_of_a_rendered_ball_has_its_volume() {
         run::run(&Frames(frames, cameras), &calibration, &plan, run::to_the_end).expect("runs");
     assert_eq!(summary.clouds, 8, "{summary:?}");
     summary.save(&plan.out.join("summary.json")).expect("writable");
+    // A format that has a place for uncertainties says that there are none.
+    let says = |to: &str| {
+        text_of(&export(&plan.out, &dir.path().join("said"), &["--to", to])).contains("--uncertainty")
+    };
+    assert!(says("pcd") && !says("e57"));
     // From stored phase maps, with the calibration beside them, or with the one that is given.
     let (out, beside) = (dir.path().join("out"), plan.out.join("calibration.json"));
     exported(&plan.out, &out, &["--to", "ply", "--mesh", "grid"]);

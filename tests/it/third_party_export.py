@@ -2,6 +2,7 @@
 """Opens exported files with readers that are not ours, and compares them with what they were made of.
 
     third_party_export.py clouds DIR      DIR/expected.bin, DIR/out
+    third_party_export.py images DIR 0|1  the same; whether there are videos
     third_party_export.py frames DIR      DIR/out, of `recording::record`
     third_party_export.py sequence FILE CAMERA TRIGGER_TIME_NS
     third_party_export.py ball CLOSED_MESH GRID_MESH X Y Z RADIUS
@@ -62,14 +63,21 @@ def clouds(directory):
     names = "x y z nx ny nz intensity u v camera sigma".split()
     table(lambda name: xyz[:, names.index(name)], expected, "xyz")
     same(xyz[:, 3:6], expected["n"], "xyz normals")
+    # Readers that do not know `#` get the same rows, and those that know six columns get six.
+    rows = Path(f"{merged}.xyz").read_text().splitlines()
+    plain = (directory / "plain/merged/000005.xyz").read_text().splitlines()
+    assert plain == [row for row in rows if not row.startswith("#")], "xyz without comments"
+    narrow = (directory / "narrow/merged/000005.xyz").read_text().splitlines()
+    assert narrow == [" ".join(row.split()[:6]) for row in plain], "xyz of six columns"
+    same(trimesh.load(directory / "plain/merged/000005.xyz").vertices, expected["p"], "xyz in trimesh")
 
     scans = pye57.E57(f"{merged}.e57")
     assert scans.scan_count == len(CAMERAS), scans.scan_count
     for scan, (number, name) in enumerate(CAMERAS.items()):
         part = expected[expected["camera"] == number]
         assert scans.get_header(scan)["name"].value() == name
-        # pye57 warns of fields of extensions and leaves them to the library below, which reads them.
-        data = scans.read_scan_raw(scan, ignore_unsupported_fields=True)
+        same(np.stack(list(scans.read_scan(scan).values()), 1), part["p"], "e57 as pye57 reads it by default")
+        data = scans.read_scan(scan, intensity=True, colors=False, row_column=True)
         same(np.stack([data[f"cartesian{axis}"] for axis in "XYZ"], 1), part["p"], "e57 places")
         same(data["intensity"], part["i"], "e57 intensity")
         same(np.stack([data["columnIndex"], data["rowIndex"]], 1), part["uv"], "e57 pixels")
@@ -82,7 +90,10 @@ def clouds(directory):
     same(attribute(gltf, attributes["POSITION"]), expected["p"], "glb places")
     same(attribute(gltf, attributes["NORMAL"]), expected["n"], "glb normals")
     same(attribute(gltf, attributes["_INTENSITY"])[:, 0], expected["i"], "glb intensity")
-    same(attribute(gltf, attributes["_PIXEL"]), expected["uv"], "glb pixels")
+    same(np.hstack([attribute(gltf, attributes[f"_{axis}"]) for axis in "UV"]), expected["uv"], "glb pixels")
+    # Blender mixes up attributes of its own that differ in type: it takes them in the order of a hash.
+    own = [gltf.accessors[index] for name, index in attributes.items() if name.startswith("_") and index]
+    assert len(own) == 5 and {(a.type, a.componentType) for a in own} == {("SCALAR", pygltflib.FLOAT)}
     same(attribute(gltf, attributes["_CAMERA"])[:, 0], expected["camera"], "glb camera")
     same(attribute(gltf, attributes["_SIGMA"])[:, 0], expected["sigma"], "glb uncertainty")
     # A viewer sees z up as y up.
@@ -154,6 +165,35 @@ def solid(path):
     # Corners as they are: merging them would hide open edges.
     mesh = trimesh.load(path, process=False, maintain_order=True)
     return mesh.to_geometry() if hasattr(mesh, "to_geometry") else mesh
+
+
+def images(directory, videos):
+    from PIL import Image
+
+    directory = Path(directory)
+    expected = np.fromfile(directory / "expected.bin", POINT)
+    count = 0
+    for number, camera in CAMERAS.items():
+        part = expected[expected["camera"] == number]
+        picture = np.zeros((1200, 1920), np.uint8)
+        picture[part["uv"][:, 1], part["uv"][:, 0]] = np.floor((np.float32(255) * part["i"]).astype(float) + 0.5)
+        for trigger in (3, 5):
+            with Image.open(directory / f"out/intensity/{camera}/{trigger:06d}.png") as image:
+                assert image.mode == "L"
+                same(image, picture, f"{camera} {trigger}")
+                count += 1
+    if int(videos):
+        import cv2
+
+        video = cv2.VideoCapture(str(directory / "out/intensity/h1_low.mp4"))
+        assert video.get(cv2.CAP_PROP_FPS) == 60 and video.get(cv2.CAP_PROP_FRAME_COUNT) == 3
+        for shown in (picture, 0 * picture, picture):
+            is_there, image = video.read()
+            assert is_there and image.shape == (1200, 1920, 3), "a frame of the video"
+            # Coded with loss.
+            assert abs(image[..., 0].astype(float) - shown).mean() < 1, "another picture"
+        assert not video.read()[0], "one frame too many"
+    return {"pictures": count}
 
 
 def frames(directory):

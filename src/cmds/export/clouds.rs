@@ -12,11 +12,14 @@ use crate::cmds::failure::{Failure, tell_amiss, tell_lost, tell_made_up_times, u
 use crate::cmds::progress::Progress;
 use crate::data::FrameSource;
 use crate::export::collect;
+use crate::export::frames::{self, FramePlan, Picture};
+use crate::export::intensity::{self, Intensity, VideoPlan};
 use crate::export::job::{self, Plan, Summary};
 use crate::export::mesh::{GridLimits, MeshKind};
 use crate::formats::sequence::Options;
 use crate::formats::{CloudSource, Format, PlyDirectory};
 use crate::record::SessionReader;
+use std::ops::Range;
 use std::path::Path;
 
 /// Clouds, meshes, and the sequence.
@@ -37,6 +40,9 @@ fn export(args: &Args, source: &dyn CloudSource) -> Result<Exit, Failure> {
     let there = belonging::listed(source);
     let source: &dyn CloudSource = &Held::new(source, &expected);
     let plan = plan(args, source)?;
+    if args.to.contains(&Target::Mp4) {
+        intensity::find_encoder().map_err(|e| Failure::usage(format!("--to mp4: {e}")))?;
+    }
     let wanted = |name: &str| plan.cameras.iter().any(|&camera| source.cameras()[camera].1 == name);
     let triggers = args.triggers.clone().unwrap_or(0..u64::MAX);
     let is_amiss = tell_amiss(&expected.amiss(&there, &triggers, &wanted));
@@ -53,6 +59,9 @@ fn export(args: &Args, source: &dyn CloudSource) -> Result<Exit, Failure> {
         summary.bytes += made.bytes;
         summary.empty = summary.empty.max(made.empty);
         summary.problems.extend(made.problems);
+    }
+    if wants_images(args) {
+        write_images(args, source, &plan, &progress, &mut summary)?;
     }
     drop(progress);
     report(args, &summary);
@@ -77,7 +86,10 @@ fn plan(args: &Args, source: &dyn CloudSource) -> Result<Plan, Failure> {
     let known: Vec<&str> = source.cameras().iter().map(|(_, name)| name.as_str()).collect();
     let first = source.triggers().first_key_value().map_or(0, |(trigger, _)| *trigger);
     let last = source.triggers().last_key_value().map_or(0, |(trigger, _)| *trigger);
-    let formats: Vec<Format> = args.to.iter().filter_map(|target| target.format()).collect();
+    let xyz =
+        Format::Xyz { comments: !args.no_comments, columns: args.columns.map_or(usize::MAX, usize::from) };
+    let chosen = |format| if format == Format::XYZ { xyz } else { format };
+    let formats: Vec<Format> = args.to.iter().filter_map(|target| target.format()).map(chosen).collect();
     let grid = GridLimits { stretch: args.stretch, ..GridLimits::default() };
     let mesh = args.mesh.map(|mesh| match mesh {
         MeshName::Grid => MeshKind::Grid(grid),
@@ -88,11 +100,12 @@ fn plan(args: &Args, source: &dyn CloudSource) -> Result<Plan, Failure> {
     if mesh.is_some() {
         if let Some(format) = formats.iter().find(|format| !format.holds_triangles()) {
             return Err(usage(format!(
-                "--mesh: {format:?} holds points only; use ply, ply-ascii, glb or obj"
+                "--mesh: {} holds points only; use ply, ply-ascii, glb or obj",
+                format.extension()
             )));
         }
-        if args.to.contains(&Target::Mcap) {
-            return Err(usage("--mesh: a sequence holds points only; leave mcap out".to_owned()));
+        if args.to.contains(&Target::Mcap) || wants_images(args) {
+            return Err(usage("--mesh: sequences and images hold points only; leave them out".to_owned()));
         }
         if args.mesh == Some(MeshName::Watertight) && directional {
             return Err(usage("--mesh watertight: needs merged clouds; leave --clouds out".to_owned()));
@@ -151,6 +164,75 @@ fn write_sequence(
     let fail = |e: std::io::Error| Failure::new(Exit::Failure, format!("{}: {e}", path.display()));
     std::fs::create_dir_all(&args.out).map_err(fail)?;
     collect(source, plan, options, &path, time_ns, |done, total| progress.at(done, total)).map_err(fail)
+}
+
+fn wants_images(args: &Args) -> bool {
+    args.to.iter().any(|target| matches!(target, Target::IntensityPng | Target::Mp4))
+}
+
+/// The fringe-free images: pictures, videos, or both.
+fn write_images(
+    args: &Args,
+    source: &dyn CloudSource,
+    plan: &Plan,
+    progress: &Progress,
+    summary: &mut Summary,
+) -> Result<(), Failure> {
+    // Two hours and more; a wrong index would make years of black.
+    const MOST_IN_A_VIDEO: u64 = 1 << 20;
+    let images = Intensity::of(source, &calibration(args)?).map_err(Failure::usage)?;
+    let out = args.out.join("intensity");
+    let triggers: Vec<u64> =
+        source.triggers().range(plan.triggers.clone()).map(|(trigger, _)| *trigger).collect();
+    let at = |done, total| progress.at(done, total);
+    summary.triggers = triggers.len();
+    if args.to.contains(&Target::IntensityPng) {
+        let cameras = plan.cameras.iter().map(|&place| images.cameras()[place].clone()).collect();
+        let (out, origin, formats) = (out.clone(), plan.origin.clone(), vec![Picture::Png]);
+        let made = frames::run(&images, &FramePlan { out, origin, formats, triggers, cameras }, at)?;
+        summary.written += made.written;
+        summary.skipped += made.skipped;
+        summary.empty += made.gaps;
+        summary.problems.extend(made.problems);
+    }
+    if args.to.contains(&Target::Mp4) {
+        let Range { start, end } = plan.triggers;
+        if end - start > MOST_IN_A_VIDEO {
+            let found = format!("expected at most {MOST_IN_A_VIDEO} triggers, found {start}..{end}");
+            return Err(Failure::usage(format!("--to mp4: {found}; choose with --triggers A..B")));
+        }
+        let rate_hz = rate_of(source).unwrap_or_else(|| {
+            tell_made_up_times(args.rate_hz);
+            args.rate_hz
+        });
+        let (cameras, triggers) = (plan.cameras.clone(), plan.triggers.clone());
+        let plan = VideoPlan { out: &out, origin: &plan.origin, cameras, triggers, rate_hz };
+        let made = intensity::write_videos(&images, &plan, at)?;
+        if !args.json {
+            let frames = end - start;
+            println!(
+                "{}/CAMERA.mp4: {frames} frames, {rate_hz} Hz; the first is trigger {start}",
+                out.display()
+            );
+        }
+        summary.written += made.written;
+        summary.skipped += made.skipped;
+        summary.empty += made.black;
+        summary.problems.extend(made.problems);
+    }
+    Ok(())
+}
+
+/// Triggers per second by the median of the times between them, where these are known.
+fn rate_of(source: &dyn CloudSource) -> Option<f64> {
+    let timed = |trigger: &u64| Some((*trigger, source.time_ns(*trigger)?));
+    let times: Vec<(u64, u64)> = source.triggers().keys().filter_map(timed).collect();
+    let period =
+        |pair: &[(u64, u64)]| pair[1].1.saturating_sub(pair[0].1) as f64 / (pair[1].0 - pair[0].0) as f64;
+    let mut periods: Vec<f64> = times.windows(2).map(period).collect();
+    periods.sort_unstable_by(f64::total_cmp);
+    let period_ns = periods.get(periods.len() / 2).filter(|period| **period > 0.0)?;
+    Some((1e12 / period_ns).round() / 1e3)
 }
 
 /// The session that the result is of.

@@ -8,20 +8,23 @@ use super::failure::{Failure, tell_amiss, tell_made_up_times};
 use super::progress::Progress;
 use crate::base::Exit;
 use crate::batch::from_phase_maps;
+use crate::batch::key::Key;
+use crate::batch::plan::method_name;
 use crate::batch::result::calibration_of;
 use crate::data::Calibration;
 use crate::export::frames::Picture;
 use crate::formats::Format;
 use crate::formats::sequence::STEPS_M;
+use crate::reconstruct::pipeline::Method;
 use std::ops::Range;
 use std::path::PathBuf;
 
 /// Write clouds, meshes, frames and times as files that other programs read.
 ///
-/// Of a reconstruction: point clouds and triangle meshes in the formats of --to, or one sequence (mcap). Of a
-/// session: its frames (png, tiff) and when each of them was (csv). Files that are finished and not older than what
-/// they are made of are kept, so that an interrupted run goes on where it was. docs/guide/exporting.md describes what
-/// each format holds and which programs open it.
+/// Of a reconstruction: point clouds and triangle meshes in the formats of --to, one sequence (mcap), or images without
+/// fringes (intensity-png, mp4). Of a session: its frames (png, tiff) and when each of them was (csv). Files that are
+/// finished and not older than what they are made of are kept, so that an interrupted run goes on where it was.
+/// docs/guide/exporting.md describes what each format holds and which programs open it.
 ///
 /// Without --to, --clouds, --mesh, --triggers and --cameras, phase maps become the files that `reconstruct --format
 /// ply` writes, byte for byte: clouds/, merged/ and sequence.mcap.
@@ -71,6 +74,13 @@ pub struct Args {
     /// With --mesh watertight: side of the cells that the surface is found on, mm.
     #[arg(long, value_name = "MM", default_value_t = 5.0, value_parser = parse_cell)]
     cell: f64,
+    /// With --to xyz: without the lines that begin with #, for readers that do not skip them.
+    #[arg(long)]
+    no_comments: bool,
+    /// With --to xyz: only the first N columns, for readers that know no more: 3 places, 6 with normals, 7 with
+    /// intensity.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(3..=11))]
+    columns: Option<u8>,
     /// With --to mcap: round places to steps of at most this, mm (0.02 is far below the measurement's uncertainty),
     /// normals and intensities likewise, and compress: less than half of the bytes.
     #[arg(long, value_name = "MM", value_parser = parse_step)]
@@ -110,6 +120,10 @@ enum Target {
     Obj,
     /// A sequence of clouds, foxglove.PointCloud in MCAP.
     Mcap,
+    /// Fringe-free images (`intensity` of the points at their pixels), 8-bit grey, a PNG file a frame.
+    IntensityPng,
+    /// Fringe-free images as a video a camera; needs ffmpeg.
+    Mp4,
     /// Frames of a session, 8-bit grey, compressed.
     Png,
     /// Frames of a session, 8-bit grey, not compressed.
@@ -136,11 +150,11 @@ impl Target {
             Self::Ply => Some(Format::Ply),
             Self::PlyAscii => Some(Format::PlyAscii),
             Self::Pcd => Some(Format::Pcd),
-            Self::Xyz => Some(Format::Xyz),
+            Self::Xyz => Some(Format::XYZ),
             Self::E57 => Some(Format::E57),
             Self::Glb => Some(Format::Glb),
             Self::Obj => Some(Format::Obj),
-            Self::Mcap | Self::Png | Self::Tiff | Self::Csv => None,
+            Self::Mcap | Self::IntensityPng | Self::Mp4 | Self::Png | Self::Tiff | Self::Csv => None,
         }
     }
 
@@ -160,11 +174,17 @@ impl Target {
 /// Runs `fourdbody export` with these arguments.
 pub fn run(args: &Args) -> Result<Exit, Failure> {
     super::reconstruct::keep_freed_memory();
+    if (args.no_comments || args.columns.is_some()) && !args.to.contains(&Target::Xyz) {
+        return Err(Failure::usage("--no-comments and --columns: are for --to xyz"));
+    }
     let of_session = args.to.iter().filter(|target| target.is_of_session()).count();
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.jobs.unwrap_or(0))
         .build()
         .map_err(|e| Failure::new(Exit::Failure, e))?;
+    if of_session == 0 {
+        tell_no_sigma(args);
+    }
     match of_session {
         0 if is_plain(args) => pool.install(|| everything(args)),
         0 => pool.install(|| clouds::run(args)),
@@ -174,6 +194,19 @@ pub fn run(args: &Args) -> Result<Exit, Failure> {
                  export them one after the other";
             Err(Failure::new(Exit::Usage, message))
         }
+    }
+}
+
+/// Says that points lack their uncertainty, where a wanted format has a place for it.
+fn tell_no_sigma(args: &Args) {
+    let has_none = |key: &Key| !key.uncertainty && key.method == method_name(Method::Joint);
+    let holds = |target: &Target| target.format().map_or(*target == Target::Mcap, Format::holds_sigma);
+    // A key that cannot be read is reported where it is needed.
+    if Key::load(&args.directory).ok().flatten().as_ref().is_some_and(has_none) && args.to.iter().any(holds) {
+        eprintln!(
+            "the points have no sigma (standard uncertainty): {} was reconstructed without --uncertainty",
+            args.directory.display()
+        );
     }
 }
 

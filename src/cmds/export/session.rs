@@ -40,7 +40,7 @@ pub(super) fn run(args: &Args) -> Result<Exit, Failure> {
             out: args.out.clone(),
             origin,
             formats,
-            triggers: triggers.clone(),
+            triggers: triggers.clone().collect(),
             cameras: cameras.clone(),
         };
         let progress = Progress::of("exporting", "frames");

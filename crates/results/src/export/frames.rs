@@ -11,7 +11,6 @@ use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::{Map, json};
 use std::io::{self, BufWriter, Seek, Write};
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -66,7 +65,7 @@ pub struct FramePlan {
     /// The session that the frames are of, in words that no other session has.
     pub origin: String,
     pub formats: Vec<Picture>,
-    pub triggers: Range<u64>,
+    pub triggers: Vec<u64>,
     pub cameras: Vec<CameraId>,
 }
 
@@ -109,8 +108,8 @@ pub fn run(
     }
     let frames: Vec<(u64, &CameraId)> = plan
         .triggers
-        .clone()
-        .flat_map(|trigger| plan.cameras.iter().map(move |camera| (trigger, camera)))
+        .iter()
+        .flat_map(|&trigger| plan.cameras.iter().map(move |camera| (trigger, camera)))
         .collect();
     let (done, total) = (AtomicU64::new(0), frames.len() as u64);
     let summary = Mutex::new(FrameSummary { frames: frames.len(), ..FrameSummary::default() });

@@ -267,7 +267,13 @@ fn state_origin(source: &dyn CloudSource, plan: &Plan) -> Result<(), Fault> {
     for format in &plan.formats {
         let mut state = |key: String, cameras: Value| {
             let mesh = plan.mesh.as_ref().map(ToString::to_string);
-            wanted.insert(key, json!({"origin": plan.origin, "cameras": cameras, "mesh": mesh}));
+            let mut about = json!({"origin": plan.origin, "cameras": cameras, "mesh": mesh});
+            if let Format::Xyz { comments, columns } = *format
+                && *format != Format::XYZ
+            {
+                about["xyz"] = json!({"comments": comments, "columns": columns});
+            }
+            wanted.insert(key, about);
         };
         if plan.merged {
             state(format!("{of_trigger}/INDEX.{}", format.extension()), json!(names));

@@ -5,6 +5,8 @@
 pub mod frames;
 /// Edges of the HSU's input lines.
 pub mod inputs;
+/// The fringe-free images of a reconstruction, as pictures and videos.
+pub mod intensity;
 /// Clouds to files of other formats, many at a time.
 pub mod job;
 /// Clouds as triangle meshes, open or closed.

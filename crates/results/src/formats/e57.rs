@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! E57 (ASTM E2807): a scan a camera, in the world frame, with normals in the registered extension `nor`
-//! (<http://www.libe57.org/E57_NOR_surface_normals.txt>) and the source pixel as row and column index.
+//! (<http://www.libe57.org/E57_NOR_surface_normals.txt>) and the source pixel as row and column index. Every point states
+//! that it is valid: by default pye57 reads no scan without that.
 //!
 //! Names that the format wants to be unique are made of the content's description, not of chance: the same cloud gives
 //! the same bytes.
@@ -10,6 +11,9 @@ use e57::{E57Writer, Extension, Record, RecordDataType, RecordName, RecordValue}
 use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io;
+
+/// The state of a point whose coordinates are all measured.
+const VALID: RecordValue = RecordValue::Integer(0);
 
 const NORMALS: (&str, &str) = ("nor", "http://www.libe57.org/E57_NOR_surface_normals.txt");
 
@@ -41,6 +45,7 @@ fn write_scans(file: &mut File, shape: &Shape<'_>) -> e57::Result<()> {
         for i in (0..cloud.len()).filter(|&i| camera.is_none_or(|number| cloud.camera[i] == number)) {
             let floats = cloud.position_m[i].iter().chain([&cloud.intensity[i]]).chain(&cloud.normal[i]);
             let mut values: Vec<RecordValue> = floats.map(|x| RecordValue::Single(*x)).collect();
+            values.push(VALID);
             if pixels {
                 let [u, v] = cloud.pixel[i];
                 values.extend([v, u].map(|x| RecordValue::Integer(x.into())));
@@ -63,6 +68,8 @@ fn prototype(pixels: bool) -> Vec<Record> {
         single(RecordName::Intensity, Some(0.0), Some(1.0)),
     ];
     records.extend(["X", "Y", "Z"].map(|axis| single(normal(axis), Some(-1.0), Some(1.0))));
+    let states = RecordDataType::Integer { min: 0, max: 2 };
+    records.push(Record { name: RecordName::CartesianInvalidState, data_type: states });
     if pixels {
         let index = RecordDataType::Integer { min: 0, max: u16::MAX.into() };
         records.push(Record { name: RecordName::RowIndex, data_type: index.clone() });

@@ -18,7 +18,11 @@ pub enum Format {
     PlyAscii,
     /// PCD of the Point Cloud Library, binary.
     Pcd,
-    Xyz,
+    /// XYZ, with or without lines that begin with `#`, and at most so many columns.
+    Xyz {
+        comments: bool,
+        columns: usize,
+    },
     /// E57, a scan a camera.
     #[cfg(feature = "e57")]
     E57,
@@ -27,6 +31,9 @@ pub enum Format {
 }
 
 impl Format {
+    /// XYZ with all that is known.
+    pub const XYZ: Self = Self::Xyz { comments: true, columns: usize::MAX };
+
     /// How files of it are called behind the last dot.
     pub fn extension(self) -> &'static str {
         match self {
@@ -34,7 +41,7 @@ impl Format {
             // Both may lie beside each other.
             Self::PlyAscii => "ascii.ply",
             Self::Pcd => "pcd",
-            Self::Xyz => "xyz",
+            Self::Xyz { .. } => "xyz",
             #[cfg(feature = "e57")]
             Self::E57 => "e57",
             Self::Glb => "glb",
@@ -47,10 +54,15 @@ impl Format {
         matches!(self, Self::Ply | Self::PlyAscii | Self::Glb | Self::Obj)
     }
 
+    /// Whether it can hold the uncertainty of points.
+    pub fn holds_sigma(self) -> bool {
+        !matches!(self.extension(), "e57" | "obj")
+    }
+
     /// Writes a file, which is never half there. Triangles are an error where the format has no place for them.
     pub fn save(self, path: &Path, shape: &Shape<'_>) -> io::Result<()> {
         if !shape.triangles.is_empty() && !self.holds_triangles() {
-            return Err(io::Error::other(format!("{self:?} holds points only, not triangles")));
+            return Err(io::Error::other(format!("{} holds points only, not triangles", self.extension())));
         }
         write_whole(path, |file| match self {
             Self::Ply if shape.triangles.is_empty() && shape.cloud.pixel.len() == shape.cloud.len() => {
@@ -59,7 +71,7 @@ impl Format {
             Self::Ply => text::write_ply_mesh(file, shape),
             Self::PlyAscii => text::write_ply_ascii(file, shape),
             Self::Pcd => pcd::write(file, shape),
-            Self::Xyz => text::write_xyz(file, shape),
+            Self::Xyz { comments, columns } => text::write_xyz(file, shape, comments, columns),
             #[cfg(feature = "e57")]
             Self::E57 => e57::write(file, shape),
             Self::Glb => glb::write(file, shape),

@@ -3,7 +3,8 @@
 //!
 //! The numbers are those of the world frame, whose z is up; glTF's y is up, so that the node that holds the shape
 //! turns it. Beside `POSITION` and `NORMAL` points have `COLOR_0` (the intensity as a grey, for viewers),
-//! `_INTENSITY` (float), and where they are known `_PIXEL` (u, v), `_CAMERA` and `_SIGMA` (float, m).
+//! `_INTENSITY`, and where they are known `_U`, `_V`, `_CAMERA` and `_SIGMA` (m). All of these are single floats: VTK
+//! reads no others, and Blender mixes up attributes that differ in type.
 
 use super::shape::Shape;
 use serde_json::{Value, json};
@@ -15,15 +16,14 @@ const HALF_ROOT: f64 = std::f64::consts::FRAC_1_SQRT_2;
 // Component types, buffer targets and primitive modes, as glTF 2.0 numbers them.
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
-const UNSIGNED_SHORT: u32 = 5123;
 const UNSIGNED_BYTE: u32 = 5121;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 const POINTS: u32 = 0;
 const TRIANGLES: u32 = 4;
 
-/// Bytes of a vertex: position, normal, intensity, colour, pixel, camera and three of padding, uncertainty.
-const STRIDE: usize = 12 + 12 + 4 + 4 + 4 + 4 + 4;
+/// Bytes of a vertex: position, normal, intensity, colour, pixel, camera, uncertainty.
+const STRIDE: usize = 12 + 12 + 4 + 4 + 8 + 4 + 4;
 
 /// Writes GLB. An error where the buffer would be longer than the format can state (4 GiB).
 pub(crate) fn write(out: impl Write, shape: &Shape<'_>) -> io::Result<()> {
@@ -63,10 +63,10 @@ fn pack(shape: &Shape<'_>, i: usize, out: &mut Vec<u8>) {
     floats.for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
     let grey = (cloud.intensity[i].clamp(0.0, 1.0) * 255.0).round() as u8;
     out.extend_from_slice(&[grey, grey, grey, 255]);
-    let pixel = cloud.pixel.get(i).copied().unwrap_or_default();
-    pixel.iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
-    out.extend_from_slice(&[cloud.camera.get(i).copied().unwrap_or(crate::data::NO_CAMERA), 0, 0, 0]);
-    out.extend_from_slice(&cloud.sigma_m.get(i).copied().unwrap_or_default().to_le_bytes());
+    let [u, v] = cloud.pixel.get(i).copied().unwrap_or_default().map(f32::from);
+    let camera = f32::from(cloud.camera.get(i).copied().unwrap_or(crate::data::NO_CAMERA));
+    let sigma = cloud.sigma_m.get(i).copied().unwrap_or_default();
+    [u, v, camera, sigma].iter().for_each(|x| out.extend_from_slice(&x.to_le_bytes()));
 }
 
 fn document(shape: &Shape<'_>, length: usize) -> Value {
@@ -88,16 +88,17 @@ fn document(shape: &Shape<'_>, length: usize) -> Value {
     let mut views =
         vec![json!({"buffer": 0, "byteLength": vertices, "byteStride": STRIDE, "target": ARRAY_BUFFER})];
     let mut attributes = json!({"POSITION": 0, "NORMAL": 1, "_INTENSITY": 2, "COLOR_0": 3});
-    let mut optional = |name: &str, here: bool, accessor: Value| {
+    let mut optional = |name: &str, here: bool, offset: usize| {
         if here {
             attributes[name] = json!(accessors.len());
-            accessors.push(accessor);
+            accessors.push(accessor(shape, offset, FLOAT, "SCALAR"));
         }
     };
     let pixels = shape.cloud.pixel.len() == shape.cloud.len();
-    optional("_PIXEL", pixels, accessor(shape, 32, UNSIGNED_SHORT, "VEC2"));
-    optional("_CAMERA", shape.cloud.is_merged(), accessor(shape, 36, UNSIGNED_BYTE, "SCALAR"));
-    optional("_SIGMA", !shape.cloud.sigma_m.is_empty(), accessor(shape, 40, FLOAT, "SCALAR"));
+    optional("_U", pixels, 32);
+    optional("_V", pixels, 36);
+    optional("_CAMERA", shape.cloud.is_merged(), 40);
+    optional("_SIGMA", !shape.cloud.sigma_m.is_empty(), 44);
     let mut primitive = json!({"attributes": attributes, "mode": POINTS, "material": 0});
     if !shape.triangles.is_empty() {
         views.push(json!({"buffer": 0, "byteOffset": vertices, "byteLength": length - vertices, "target": ELEMENT_ARRAY_BUFFER}));

@@ -2,7 +2,7 @@
 //! Formats of text, and PLY with triangles: ASCII PLY, XYZ and OBJ. Numbers are the shortest that read back the same.
 //!
 //! XYZ has no standard: a line a point, columns separated by spaces, `x y z nx ny nz intensity u v camera`, and lines
-//! that begin with `#`. Readers that know three or six columns find the place and the normal.
+//! that begin with `#`. Some readers know only three or six columns, or no `#`: both can be left out.
 //!
 //! OBJ: `v x y z r g b` with the intensity as a grey (a widespread extension), `vn`, and `p` or `f` elements.
 
@@ -61,18 +61,19 @@ fn row(out: &mut impl Write, shape: &Shape<'_>, columns: &[Column], i: usize) ->
     writeln!(out)
 }
 
-/// Writes all points as lines of XYZ.
-pub(crate) fn write_xyz(out: impl Write, shape: &Shape<'_>) -> io::Result<()> {
+/// Writes all points as lines of XYZ of at most so many columns, with or without lines that begin with `#`.
+pub(crate) fn write_xyz(out: impl Write, shape: &Shape<'_>, comments: bool, most: usize) -> io::Result<()> {
     let mut out = BufWriter::with_capacity(BUFFER_BYTES, out);
     let mut columns = Column::of(shape.cloud);
     // The normal directly behind the place, where readers of six columns expect it.
     columns.remove(3);
     columns.insert(6, INTENSITY);
-    for comment in shape.comments {
-        writeln!(out, "# {}", one_line(comment))?;
+    columns.truncate(most);
+    if comments {
+        shape.comments.iter().try_for_each(|comment| writeln!(out, "# {}", one_line(comment)))?;
+        let names: Vec<&str> = columns.iter().map(|column| column.xyz).collect();
+        writeln!(out, "# {}", names.join(" "))?;
     }
-    let names: Vec<&str> = columns.iter().map(|column| column.xyz).collect();
-    writeln!(out, "# {}", names.join(" "))?;
     (0..shape.cloud.len()).try_for_each(|i| row(&mut out, shape, &columns, i))?;
     out.flush()
 }
