@@ -5,6 +5,8 @@ PHOTOGRAPHS=DIR python others.py. DIR holds what is there of these; nothing is f
   boards/*.jpg    the chessboards of OpenCV's samples (left01.jpg, right01.jpg, ...)
   BSC/            github.com/GeyouZhang/BSC: two cameras and a projector
   CFPE/           github.com/yongleex/CFPE: one camera
+  procam-calibration/  github.com/kamino410/procam-calibration: a camera and a projector, Gray code
+  caliscope/      github.com/mprib/caliscope: tests/reference/base_data/camera_array.toml
   SLMaster/       github.com/Practice3DVision/SLMaster: one camera and a projector, another time two cameras
 
 Of SLMaster's one camera every third of its twelve photographs becomes a cloud by itself: there is no marker, the volume tells the
@@ -200,6 +202,16 @@ if __name__ == "__main__":
     if (sets / "CFPE").is_dir():
         one = rig(options.work / "cfpe.toml", ["eye"], (640, 480))
         runs.images("cfpe", one, sets / "CFPE/data/recordings/2", "--pattern", "{index}h", "--renumber")
+    if (sets / "procam-calibration").is_dir():
+        folder = sets / "procam-calibration/sample_data"
+        one = rig(options.work / "procam.toml", ["eye"], (1280, 1024), (1024, 768))
+        runs.images("procam", one, folder / "capture_0", "--pattern", "graycode_{index}")
+        runs("procam", "calibration", "import", "--rig", one, "--from", folder / "calibration_result.xml", "--unit-mm", 1,
+             "--out", options.work / "procam.json")
+    if (sets / "caliscope").is_dir():
+        room = rig(options.work / "room.toml", ["west", "east"], (1280, 720))
+        runs("caliscope", "calibration", "import", "--rig", room, "--from", sets / "caliscope/camera_array.toml",
+             "--unit-mm", 1000, "--out", options.work / "room.json")
     if (sets / "SLMaster").is_dir():
         folder = sets / "SLMaster/data/binocularCamera"
         pair = rig(options.work / "slm-pair.toml", ["L", "R"], (1280, 1024))

@@ -8,7 +8,7 @@ use crate::config::Rig;
 use crate::data::Calibration;
 use std::path::PathBuf;
 
-/// Make a calibration of another program's: of OpenCV, MATLAB, or a rendered scene.
+/// Make a calibration of another program's: of OpenCV, MATLAB, Anipose, or a rendered scene.
 ///
 /// Volume, pattern and the place of the first device are those of the rig file, or of the calibration that --base names.
 /// Points of the first device must become those of the next by R x + T, as cv2.stereoCalibrate has it; the projector is
@@ -17,7 +17,7 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Files: YAML, XML or JSON of cv2.FileStorage; NPZ of numpy.savez; in MATLAB
   fid = fopen('stereo.json', 'w'); fprintf(fid, '%s', jsonencode(toStruct(stereoParams))); fclose(fid);
-and the rig of a rendered scene, JSON. Files that complement each other are given together.
+TOML of Anipose, FreeMoCap or Caliscope; and the rig of a rendered scene, JSON. Files that complement each other are given together.
 
 Examples:
   fourdbody calibration import --rig bench.toml --from stereo.yml --unit-mm 1 --out calibration.json

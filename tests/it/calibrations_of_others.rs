@@ -120,6 +120,8 @@ fn pixels_are_those_of_opencv_however_its_calibration_was_kept() {
         &["intrinsics.yml", "extrinsics.yml"],
         &["matlab.json"],
         &["matlab_old.json"],
+        &["anipose.toml"],
+        &["caliscope.toml"],
     ] {
         let stated = files[0].starts_with("matlab");
         let (code, text) = import(dir.path(), files, if stated { &[] } else { &unit });
@@ -156,6 +158,7 @@ fn what_no_lens_of_ours_is_and_what_is_no_calibration_is_named() {
         ("tilted.yml", "found the tilted sensor model"),
         ("skew.yml", "expected a camera matrix without skew"),
         ("fisheye.yml", "found fisheye_model: 1"),
+        ("fisheye.toml", "cam_0: expected radial and tangential distortion, found fisheye = true"),
         ("ros.yaml", "found distortion_model: equidistant"),
         ("mirrored.yml", "expected a rotation"),
         ("sized.yml", "eye: expected 1920 x 1200 pixels as in the rig, found 640 x 480"),

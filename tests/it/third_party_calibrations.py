@@ -50,6 +50,17 @@ storage("sized.yml", {"camera_matrix": K1, "distortion_coefficients": D1, "image
     f"  data: {K1.ravel().tolist()}\ndistortion_model: equidistant\ndistortion_coefficients:\n  rows: 1\n  cols: 4\n"
     f"  data: {D1.ravel()[:4].tolist()}\n")
 
+# Cameras around a room: the world is neither of the two.
+about, at = np.array([0.3, -0.2, 0.1]), np.array([20.0, -30.0, 500.0])
+turn = cv2.Rodrigues(about)[0]
+both = [(K1, D1, about, at), (K2, D2, cv2.Rodrigues(R @ turn)[0].ravel(), R @ at + T.ravel())]
+room = [f"matrix = {K.tolist()}\ndistortions = {D.ravel().tolist()}\nrotation = {r.tolist()}\ntranslation = {t.tolist()}\n"
+        for K, D, r, t in both]
+(root / "anipose.toml").write_text(f'[cam_0]\nname = "A"\n{room[0]}\n[cam_1]\nname = "B"\n{room[1]}\n[metadata]\nerror = 0.3\n')
+(root / "fisheye.toml").write_text(f"[cam_0]\nfisheye = true\n{room[0]}")
+(root / "caliscope.toml").write_text(
+    f"[cameras.1]\nignore = true\n[cameras.2]\nport = 2\n{room[0]}\n[cameras.10]\nport = 10\n{room[1]}")
+
 
 def matlab(K, D, transposed):
     """What MATLAB's toStruct has: pixels counted from one; before 2022b the matrix of rows from the right."""

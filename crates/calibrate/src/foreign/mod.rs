@@ -2,15 +2,17 @@
 //! Calibrations of other programs: lenses and poses of two or three devices that see one place, put into a calibration.
 //!
 //! ```text
-//! tree     YAML, XML, JSON and NPZ files as one tree of values
+//! tree     YAML, XML, JSON, TOML and NPZ files as one tree of values
 //! opencv   the matrices that OpenCV's users keep, by their usual names
 //! matlab   what MATLAB's `toStruct` states, as `jsonencode` writes it
+//! anipose  cameras around a room, as Anipose, FreeMoCap and Caliscope keep them
 //! scene    the rig of a renderer, every device in the world
 //! ```
 //!
 //! These programs know two devices relative to each other, no world, no volume and no pattern. The calibration that is
 //! changed has all of these: the first device stays where it has it.
 
+mod anipose;
 mod matlab;
 mod opencv;
 pub mod scene;
@@ -69,6 +71,7 @@ impl Foreign {
         }
         let read = match () {
             () if all.contains_key("heads") => scene::devices(all),
+            () if anipose::is_it(&all) => anipose::devices(&all),
             () if matlab::is_it(&all) => matlab::devices(&all),
             () => opencv::devices(&all),
         };

@@ -42,7 +42,7 @@ const PROJECTOR: Names = Names {
     matrix: "m4 projk kproj projint projmatrix projmtx projectormatrix projectorcameramatrix projectorintrinsics \
              projectork kp",
     distortion: "d4 projkc projd dproj projdist projectordistortion projectordistcoeffs projectord dp",
-    rotation: "rlp rcp r rotation rotationmatrix rot",
+    rotation: "rlp rcp r rotation rotationmatrix rot roration",
     translation: "tlp tcp t translation translationvector trans",
 };
 

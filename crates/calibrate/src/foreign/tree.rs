@@ -27,7 +27,7 @@ pub fn read(path: &Path) -> Result<Map<String, Value>, String> {
              fid = fopen('stereo.json', 'w'); fprintf(fid, '%s', jsonencode(toStruct(stereoParams))); fclose(fid)"
             .to_owned());
     }
-    let kinds = "YAML, XML or JSON of OpenCV, NPZ of NumPy, or JSON of MATLAB";
+    let kinds = "YAML, XML or JSON of OpenCV, NPZ of NumPy, JSON of MATLAB, or TOML of Anipose";
     let text =
         String::from_utf8(bytes).map_err(|_| format!("expected {kinds}, found bytes that are no text"))?;
     if deepest(&text) > DEPTH_MAX {
@@ -37,6 +37,9 @@ pub fn read(path: &Path) -> Result<Map<String, Value>, String> {
     let value = match text.trim_start().as_bytes().first() {
         Some(b'<') => xml(&text).map_err(|e| wrong(&e))?,
         Some(b'{') => strict::from_slice(text.as_bytes()).map_err(|e| wrong(&e))?,
+        _ if path.extension().is_some_and(|x| x == "toml") => {
+            toml::from_str(&text).map_err(|e| wrong(&e.message()))?
+        }
         _ => yaml(&text).map_err(|e| wrong(&e))?,
     };
     match value {
