@@ -96,7 +96,8 @@ pub fn prefer_huge_pages(memory: &mut [std::mem::MaybeUninit<u8>]) {
     }
 }
 
-/// Has the kernel note when each datagram arrives, for [`receive`].
+/// Has the kernel note when each datagram arrives, for [`receive`]. It begins soon afterwards: until then a datagram has
+/// the time at which it was read.
 pub fn stamp_arrivals(socket: &UdpSocket) -> io::Result<()> {
     set_option(socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, 1)
 }
@@ -321,17 +322,21 @@ mod tests {
         let receiver = UdpSocket::bind("127.0.0.1:0").expect("a socket");
         stamp_arrivals(&receiver).expect("stamps");
         let sender = UdpSocket::bind("127.0.0.1:0").expect("a socket");
-        let before = Instant::now();
-        sender.send_to(&[1, 2, 3], receiver.local_addr().expect("an address")).expect("sent");
-        let sent = Instant::now();
-        std::thread::sleep(Duration::from_millis(20));
-        let mut buffer = [0; 8];
-        let (length, from, arrived) = receive(&receiver, &mut buffer).expect("a datagram");
-        assert_eq!(&buffer[..length], [1, 2, 3]);
-        assert_eq!(Some(from.port()), sender.local_addr().ok().map(|address| address.port()));
-        // Two clocks are read one after the other.
-        let slack = Duration::from_millis(5);
-        assert!(arrived + slack >= before && arrived <= sent + slack, "{:?}", arrived - before);
+        let has_arrival = |_| {
+            let before = Instant::now();
+            sender.send_to(&[1, 2, 3], receiver.local_addr().expect("an address")).expect("sent");
+            let sent = Instant::now();
+            std::thread::sleep(Duration::from_millis(20));
+            let mut buffer = [0; 8];
+            let (length, from, arrived) = receive(&receiver, &mut buffer).expect("a datagram");
+            assert_eq!(&buffer[..length], [1, 2, 3]);
+            assert_eq!(Some(from.port()), sender.local_addr().ok().map(|address| address.port()));
+            // Two clocks are read one after the other.
+            let slack = Duration::from_millis(5);
+            arrived + slack >= before && arrived <= sent + slack
+        };
+        // The first one may come before the kernel's queue of work has turned stamps on.
+        assert!((0..100).any(has_arrival), "a hundred datagrams have the time at which they were read");
     }
 
     #[test]
