@@ -530,3 +530,13 @@ fn the_unit_fits_a_microcontroller() {
     assert!(size_of::<Unit>() <= 18 * 1024, "{} bytes", size_of::<Unit>());
     assert!(size_of::<hsu_firmware_proto::frame::Decoder>() <= 512);
 }
+
+#[test]
+fn hosts_are_told_the_serial_number_that_was_read_after_power_up() {
+    let mut bench = Bench::new();
+    let name = NodeName::new("test").expect("short");
+    let identity = Identity { name, unique_id: *b"e6605838834f2a31", firmware: [0, 2, 0] };
+    bench.unit.identify(identity);
+    let answer = bench.hello(LinkId::A, "a");
+    assert!(matches!(answer, UnitToHost::Welcome(_, welcome) if welcome.identity == identity), "{answer:?}");
+}
