@@ -12,7 +12,7 @@ const PERIOD = Math.round(1e9 / 120), WARM_UP = 8;
 const HEADS = [[200_000, 1_000_000], [300_000, 1_000_000], [1_250_008, 2_000_000], [200_040, 1_000_000]];
 const SYNC_PIN = 14, SESSION_PIN = 15, OUTPUTS = [6, 7, 8, 9, 10, 11, 12, 13, 14, 15], INPUT_PINS = [16, 17, 18, 19, 20, 21, 22, 26];
 /** Requests on both lines, whose answers and what is told of triggers fill them. */
-const REQUEST_NS = 310_000;
+const REQUEST_NS = 330_000;
 const LIMITS = { edge_spread_ns: 16, flash_bytes: 64 * 1024, stack_bytes: 6 * 1024, input_error_ns: 50_000 };
 const FAULT_HARDWARE = 3, HELD_UP = 1, LATE = 4;
 

@@ -22,7 +22,8 @@ export class Pico {
     const complain = (name, text) => { if (!known.test(`${name}: ${text}`)) this.complaints.add(`${name}: ${text}`); };
     this.chip.logger = { debug() {}, info() {}, warn: complain, error: complain };
     this.onByte = onByte;
-    this.edgeNs = 0;
+    /** While the PIO is played: when it sets pins. */
+    this.edgeNs = null;
     this.instructions = 0;
     this.heldUntil = 0;
     this.toHold = 0;
@@ -41,7 +42,7 @@ export class Pico {
     watchdog.onWatchdogTrigger = () => { watchdog.alarm.enable = false; onWatchdog(this.ns); };
     this.chip.gpio.forEach((pin, number) => pin.addListener((value, before) => {
       const [now, then] = [value, before].map((state) => state === GPIOPinState.High);
-      if (now !== then) onEdge(number, now, this.edgeNs);
+      if (now !== then) onEdge(number, now, this.edgeNs ?? this.ns);
     }));
     const { core } = this.chip;
     core.VTOR = 0x10000100;
@@ -187,6 +188,7 @@ export class Pico {
       asleep.filter((one) => !one.waiting).forEach((one) => { one.at = machine.at; });
       this.edgeNs = machine.at * CYCLE_NS;
       this.pio.checkChangedPins();
+      this.edgeNs = null;
     }
   }
 
@@ -232,7 +234,10 @@ export class Pico {
   hold(ns) { this.toHold = ns; }
 
   /** The processor meets an instruction that there is not. */
-  crash() { this.chip.core.PC = this.chip.readUint32(this.chip.core.VTOR + 12) & ~1; }
+  crash() {
+    this.chip.core.waiting = false;
+    this.chip.core.PC = this.chip.readUint32(this.chip.core.VTOR + 12) & ~1;
+  }
 
   /** Bytes of stack that were ever used: memory was filled before. */
   get stackBytes() {

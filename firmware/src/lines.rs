@@ -59,12 +59,9 @@ pub struct Lines {
     pub player: Player,
     /// What the unit takes for now.
     pub now_ns: u64,
-    /// Before this no more edges will be planned, as far as the last trigger says.
-    pub final_ns: u64,
     /// The last exposure that was planned ends then.
     over_ns: u64,
     pub sync: Sync,
-    pub period_ns: u64,
 }
 
 impl Lines {
@@ -78,10 +75,8 @@ impl Lines {
             last_ns: 0,
             player: Player::new(),
             now_ns: 0,
-            final_ns: 0,
             over_ns: 0,
             sync: Sync::Timer,
-            period_ns: 0,
         }
     }
 
@@ -137,8 +132,6 @@ impl UnitOutputs for Lines {
             self.player.at(rise_ns + head.exposure_ns, 0, 1 << number);
             self.over_ns = self.over_ns.max(rise_ns + head.exposure_ns);
         }
-        // The next trigger is no closer.
-        self.final_ns = trigger.time_ns + self.period_ns - self.period_ns / 8 - 1;
     }
 
     fn session_output(&mut self, high: bool) {

@@ -120,11 +120,10 @@ fn take_messages(unit: &mut Unit, lines: &mut Lines, decoders: &mut [Decoder; LI
 /// Plans the next trigger, plays edges, sends. `planned_ns` is the latest time that the unit was told. Returns when to
 /// come again.
 fn act(unit: &mut Unit, lines: &mut Lines, planned_ns: &mut u64) -> u64 {
-    if let Some(timing) = unit.timing() {
-        (lines.sync, lines.period_ns) = (timing.sync, timing.period_ns);
-    }
-    let is_timed = unit.state() == State::Running && lines.sync == Sync::Timer;
-    let lead_ns = if is_timed { LEAD_NS.min(lines.period_ns / 2) } else { 0 };
+    let (sync, period_ns) = unit.timing().map_or((Sync::Timer, 0), |timing| (timing.sync, timing.period_ns));
+    lines.sync = sync;
+    let is_timed = unit.state() == State::Running && sync == Sync::Timer;
+    let lead_ns = if is_timed { LEAD_NS.min(period_ns / 2) } else { 0 };
     let least_ns = LEAST_NS.min(lead_ns / 2);
     let now_ns = board::now_ns();
     let due_ns = unit.next_due();
@@ -133,7 +132,7 @@ fn act(unit: &mut Unit, lines: &mut Lines, planned_ns: &mut u64) -> u64 {
         *planned_ns = lines.now_ns;
         unit.tick(lines.now_ns, lines);
     }
-    if lines.player.feed(lines.final_ns.max(board::now_ns() + least_ns)) {
+    if lines.player.feed() {
         fault(unit, lines, EDGE_MOVED);
     }
     if is_timed && due_ns < now_ns + least_ns {

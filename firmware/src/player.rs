@@ -179,9 +179,10 @@ impl Player {
         [CLOCK, HAND].iter().any(|&channel| DMA.ch(channel).ctrl_trig().read().busy())
     }
 
-    /// Hands over all edges up to `final_ns`, before which no more will be planned. Returns whether an edge is not
-    /// where it was planned. While DMA works nothing is handed over; its interrupt says when to come again.
-    pub fn feed(&mut self, final_ns: u64) -> bool {
+    /// Hands over all edges. Those that are planned later must not come before them: a trigger does not fall into the
+    /// exposures of another. Returns whether an edge is not where it was planned. While DMA works nothing is handed
+    /// over; its interrupt says when to come again.
+    pub fn feed(&mut self) -> bool {
         let lost = core::mem::take(&mut self.lost);
         let empty = PIO0.fstat().read().txempty() & 0b11 == 0b11;
         assert!(empty || self.last + HANGS > self.cycle(now_ns()), "the player hangs");
@@ -190,7 +191,7 @@ impl Player {
                 return lost;
             }
             let now = self.cycle(now_ns());
-            let plan = self.plan(now + AHEAD, self.cycle(final_ns).min(now + FARTHEST));
+            let plan = self.plan(now);
             if plan.taken == 0 {
                 return lost;
             }
@@ -213,12 +214,12 @@ impl Player {
         }
     }
 
-    /// Words for the edges up to a cycle, the first of them not before `earliest`.
-    fn plan(&mut self, earliest: u64, horizon: u64) -> Plan {
+    /// Words for all edges, as they are played from now on.
+    fn plan(&mut self, now: u64) -> Plan {
         let Self { last, levels, .. } = *self;
         let mut plan = Plan { first: 0, last, levels, taken: 0, times: 0, hands: 0, late: false };
         let [times, hands] = &mut self.words;
-        for event in self.events[..self.count].iter().take_while(|event| event.cycle <= horizon) {
+        for event in self.events[..self.count].iter().take_while(|event| event.cycle <= now + FARTHEST) {
             plan.levels = plan.levels & !event.lower | event.raise;
             plan.taken += 1;
             let levels = plan.levels << 17;
@@ -234,7 +235,7 @@ impl Player {
                 hands[plan.hands] = (cycle - plan.last - HAND_CYCLES) as u32 | levels | WAIT << 27;
                 plan.hands += 1;
             } else {
-                let earliest = if is_first { earliest } else { 0 };
+                let earliest = if is_first && event.cycle < now + 2 * MARGIN { now + AHEAD } else { 0 };
                 cycle = event.cycle.max(plan.last + CLOSE).max(earliest);
                 times[plan.times] = ((cycle >> 1) as u32).wrapping_neg();
                 hands[plan.hands] = (cycle & 1) as u32 | levels | WAIT << 27;
