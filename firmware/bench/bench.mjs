@@ -36,14 +36,15 @@ class Bench {
         const message = decoders[link].push(byte);
         if (!message) return;
         const what = { link, at: ns, ...host.read(message) };
-        (what.id === undefined || what.kind === 'trigger' || what.kind === 'done' || what.kind === 'fault' || what.kind === 'heartbeat'
-          ? this.said : this.answers).push(what);
+        if (what.kind === 'done') this.done++;
+        (what.id === undefined ? this.said : this.answers).push(what);
       },
       onWatchdog: (ns) => this.restarts.push(ns),
     });
     this.pico.exact = exact;
     this.id = 0;
     this.session = 0;
+    this.done = 0;
   }
 
   send(link, message) { this.pico.send(link, host.frame(message(++this.id))); return this.id; }
@@ -67,6 +68,7 @@ class Bench {
   train(count, at) {
     this.edges.length = 0;
     this.said.length = 0;
+    this.done = 0;
     const session = Buffer.alloc(16, ++this.session);
     const fields = host.timing(PERIOD, 2e9, HEADS);
     for (const link of [0, 1]) {
@@ -76,7 +78,7 @@ class Bench {
     const started = this.ask(0, host.start(session));
     if (started.kind !== 'ack') throw new Error(`expected to be started: ${JSON.stringify(started)}`);
     const from = this.pico.ns;
-    for (const end = from + (count + WARM_UP + 20) * PERIOD * 1.3; this.pico.ns < end && this.said.filter((m) => m.kind === 'done').length < 2;) {
+    for (const end = from + (count + WARM_UP + 20) * PERIOD * 1.3; this.pico.ns < end && this.done < 2;) {
       this.pico.run(this.pico.ns + at(this.pico.ns - from));
     }
     this.pico.run(this.pico.ns + 20e6);
@@ -100,7 +102,7 @@ class Bench {
       expect(widths.size === 1 && widths.has(width), `${name}: widths of pin ${pin} are ${[...widths].slice(0, 5)} ns, expected ${width}`);
     });
     const session = this.edges.filter((e) => e.pin === SESSION_PIN);
-    expect(session.length === 2 && session[0].high && session[1].ns > Math.max(...this.edges.filter((e) => e.pin < SYNC_PIN).map((e) => e.ns)),
+    expect(session.length === 2 && session[0].high && session[1].ns > this.edges.findLast((e) => e.pin < SYNC_PIN).ns,
       `${name}: the session's output rises once, and falls after the last exposure`);
     return errors;
   }

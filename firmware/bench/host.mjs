@@ -67,8 +67,9 @@ export const queryEdges = (first) => request(13, u64(first));
 const status = (m, at) => ({ state: m[at], late: m.readUInt32LE(at + 48), faults: m.readUInt32LE(at + 52), framesBad: m.readUInt32LE(at + 56), unsent: m.readUInt32LE(at + 60) });
 const edge = (m, at) => ({ number: Number(m.readBigUInt64LE(at)), ns: Number(m.readBigUInt64LE(at + 8)), input: m[at + 16], rising: m[at + 17] === 1 });
 
+/** A message of the unit; what it says unasked has no id. */
 export function read(m) {
-  const kind = m[1], id = m.length >= 6 ? m.readUInt32LE(2) : undefined;
+  const kind = m[1], id = m.readUInt32LE(2);
   switch (kind) {
     case 0x80: return { kind: 'welcome', id, product: m.toString('latin1', 6, 22).replace(/\0+$/, ''), uid: m.toString('latin1', 22, 38), firmware: [38, 40, 42].map((at) => m.readUInt16LE(at)) };
     case 0x81: return { kind: 'ack', id };

@@ -22,6 +22,8 @@ export class Pico {
     const complain = (name, text) => { if (!known.test(`${name}: ${text}`)) this.complaints.add(`${name}: ${text}`); };
     this.chip.logger = { debug() {}, info() {}, warn: complain, error: complain };
     this.onByte = onByte;
+    /** When the PIO has more to do than to count. */
+    this.playNs = 0;
     /** While the PIO is played: when it sets pins. */
     this.edgeNs = null;
     this.instructions = 0;
@@ -145,6 +147,7 @@ export class Pico {
       writeUint32.call(pio, offset, value);
       pio.machines.forEach((machine, i) => { if (machine.enabled && (!before[i] || machine.at < this.cycle)) machine.at = Math.max(machine.at, this.cycle); });
       pio.checkChangedPins();
+      this.playNs = 0;
     };
   }
 
@@ -173,7 +176,7 @@ export class Pico {
       for (const one of this.pio.machines) {
         if (one.enabled && !one.waiting && one.at < now && (!machine || one.at < machine.at)) machine = one;
       }
-      if (!machine) return;
+      if (!machine) { this.playNs = this.nextPlay; return; }
       const loop = this.exact ? null : this.loop(machine);
       const turns = loop ? Math.min(loop.turns, Math.floor((now - machine.at) / loop.turn)) : 0;
       if (turns > 0) {
@@ -217,13 +220,13 @@ export class Pico {
       if (core.waiting || clock.nanosCounter < this.heldUntil) {
         const alarm = clock.nextAlarm ? clock.nextAlarm.nanos : Infinity;
         const held = clock.nanosCounter < this.heldUntil ? this.heldUntil : Infinity;
-        const next = Math.min(until, alarm, nextByte, held, this.nextPlay);
+        const next = Math.min(until, alarm, nextByte, held, this.playNs);
         clock.tick(Math.max(CYCLE_NS, next - clock.nanosCounter));
       } else {
         clock.tick(core.executeInstruction() * CYCLE_NS);
         this.instructions++;
       }
-      this.play();
+      if (clock.nanosCounter >= this.playNs) this.play();
       if (clock.nanosCounter >= nextByte) nextByte = this.deliver();
     }
     this.drain(0);
