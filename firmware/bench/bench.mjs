@@ -11,8 +11,8 @@ const PERIOD = Math.round(1e9 / 120), WARM_UP = 8;
 /** Delay and exposure of heads: one on no grid of the player's, two closer than its clock can tell apart. */
 const HEADS = [[200_000, 1_000_000], [300_000, 1_000_000], [1_250_008, 2_000_000], [200_040, 1_000_000]];
 const SYNC_PIN = 14, SESSION_PIN = 15, OUTPUTS = [6, 7, 8, 9, 10, 11, 12, 13, 14, 15], INPUT_PINS = [16, 17, 18, 19, 20, 21, 22, 26];
-/** Requests on both lines, whose answers and what is told of triggers fill them. */
-const REQUEST_NS = 330_000;
+/** Requests that each host has open at any time: their answers, and what is told of triggers, fill its line. */
+const OPEN = 4;
 const LIMITS = { edge_spread_ns: 16, flash_bytes: 64 * 1024, stack_bytes: 6 * 1024, input_error_ns: 50_000 };
 const FAULT_HARDWARE = 3, HELD_UP = 1, LATE = 4;
 
@@ -27,6 +27,7 @@ class Bench {
     this.answers = [];
     this.bytes = 0;
     this.restarts = [];
+    this.open = [0, 0];
     const decoders = [new host.Decoder(), new host.Decoder()];
     this.decoders = decoders;
     this.pico = new Pico(firmware, {
@@ -37,6 +38,7 @@ class Bench {
         if (!message) return;
         const what = { link, at: ns, ...host.read(message) };
         if (what.kind === 'done') this.done++;
+        if (what.id !== undefined) this.open[link]--;
         (what.id === undefined ? this.said : this.answers).push(what);
       },
       onWatchdog: (ns) => this.restarts.push(ns),
@@ -47,7 +49,7 @@ class Bench {
     this.done = 0;
   }
 
-  send(link, message) { this.pico.send(link, host.frame(message(++this.id))); return this.id; }
+  send(link, message) { this.open[link]++; this.pico.send(link, host.frame(message(++this.id))); return this.id; }
 
   ask(link, message) {
     const id = this.send(link, message);
@@ -135,14 +137,11 @@ welcomes.forEach((welcome, link) => {
   expect(found === expected, `welcome on link ${link}: ${found}, expected ${expected}`);
 });
 const inputs = [];
-let due = 0, request = 0;
+let due = 0;
 bench.bytes = 0;
 const before = bench.pico.ns;
 bench.train(Number(triggers), (ns) => {
-  if (ns >= request) {
-    [0, 1].forEach((link) => bench.send(link, host.readClock()));
-    request += REQUEST_NS;
-  }
+  [0, 1].forEach((link) => { while (bench.open[link] < OPEN) bench.send(link, host.readClock()); });
   if (ns >= due && inputs.length < 64) {
     const input = inputs.length % INPUT_PINS.length, high = inputs.length % 16 < 8;
     bench.pico.input(INPUT_PINS[input], high);
@@ -150,7 +149,7 @@ bench.train(Number(triggers), (ns) => {
     due += 13_337_000;
   }
   bench.answers = bench.answers.slice(-16);
-  return Math.max(1, Math.min(request, due > ns ? due : Infinity) - ns);
+  return Math.max(1, Math.min(50e3, due > ns ? due - ns : Infinity));
 });
 const offered = bench.bytes * 1e10 / 920810 / 2 / (bench.pico.ns - before);
 const offset = spread(bench.errors('train', Number(triggers)));
