@@ -9,6 +9,8 @@ rust=1.95.0
 out=target/firmware
 export RUSTUP_HOME=${FOURDBODY_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/fourdbody}/rust-pico
 export RUSTUP_TOOLCHAIN=$rust
+# These would replace what firmware/.cargo/config.toml says.
+unset RUSTFLAGS CARGO_BUILD_TARGET CARGO_ENCODED_RUSTFLAGS
 mkdir -p "$RUSTUP_HOME" "$out/bench"
 skip() {
     echo "skipped: $1"

@@ -26,9 +26,10 @@ static RECEIVED: [Ring<u8, 1024>; LINKS] = [Ring::new(0), Ring::new(0)];
 /// Place in `INPUT_PINS`, whether it rose, when.
 static EDGES: Ring<(u8, bool, u64), 256> = Ring::new((0, false, 0));
 
-/// A timed trigger is planned so long ahead; half a period where that is shorter. So long the processor may be held up.
+/// A timed trigger is planned so long ahead; half a period where that is shorter.
 const LEAD_NS: u64 = 3_000_000;
-/// With less than this before it a trigger is too late, and moved; less than half of what it is planned ahead.
+/// With less than this before it a trigger is too late, and moved; at most half of what it is planned ahead. The
+/// difference is how long the processor may be held up.
 const LEAST_NS: u64 = 600_000;
 
 /// Codes of the fault Hardware: a trigger was moved, because the processor was held up.
