@@ -26,6 +26,7 @@
 #   make release   the package with SHA256SUMS, of a clean tree whose documents are of this version
 #   make wheel     the Python package, in target/wheels
 #   make python    the same, and its tests and notebooks on what `make demo` wrote
+#   make firmware  the HSU's firmware for a Raspberry Pi Pico, and its bench in emulated time (TRIGGERS: 1000)
 #   make python-docs    its pages, made from the docstrings, in target/python-docs
 #   make third-party   others' programs that take minutes to build
 
@@ -33,7 +34,7 @@ SHELL := /bin/bash
 CARGO ?= cargo
 export CARGO_TERM_COLOR ?= auto
 
-.PHONY: all demo lab test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses geometry drift noise light real validate figures packages test-packages clean-out fuzz third-party release wheel python python-docs
+.PHONY: all demo lab test check lint deny deb bench-ingest bench-reconstruct bench-live bench-play bench-before-record bench-worker matrix poses geometry drift noise light real validate figures packages test-packages clean-out fuzz third-party release wheel python python-docs firmware
 
 all: packages
 	$(CARGO) build --release --workspace
@@ -73,12 +74,14 @@ test: test-packages
 check: packages
 	$(CARGO) fmt --all -- --check
 	$(CARGO) fmt --manifest-path python/Cargo.toml -- --check
+	$(CARGO) fmt --manifest-path firmware/Cargo.toml -- --check
 	$(CARGO) test --workspace --lib
 	$(CARGO) check --workspace --all-targets
 
 lint: packages
 	$(CARGO) fmt --all -- --check
 	$(CARGO) fmt --manifest-path python/Cargo.toml -- --check
+	$(CARGO) fmt --manifest-path firmware/Cargo.toml -- --check
 	$(CARGO) clippy --workspace --all-targets -- -D warnings
 	$(CARGO) clippy --no-default-features --all-targets -- -D warnings
 	scripts/deny.sh
@@ -175,6 +178,9 @@ python-docs: packages
 	@scripts/install-packages.sh python3-venv
 	@scripts/make-venv.sh target/mkdocs mkdocs==1.6.1 mkdocstrings==1.0.8 mkdocstrings-python==2.0.11
 	target/mkdocs/bin/mkdocs build --quiet --config-file python/mkdocs.yml
+
+firmware:
+	scripts/firmware.sh
 
 release: packages
 	scripts/release.sh

@@ -415,7 +415,7 @@ fn every_file_says_what_it_is_for_and_is_short() {
 #[test]
 fn comments_of_documentation_are_sentences() {
     let mut short = Vec::new();
-    for folder in ["src", "crates", "simulator", "hsu-firmware-proto"] {
+    for folder in ["src", "crates", "simulator", "hsu-firmware-proto", "firmware"] {
         for path in rust_files(&root().join(folder)) {
             let text = std::fs::read_to_string(&path).expect("a source file");
             let mut words: Option<usize> = None;

@@ -136,6 +136,11 @@ impl Unit {
         }
     }
 
+    /// A board reads its serial number after power-up, and this state machine is too large to be made anew on its stack.
+    pub fn identify(&mut self, identity: Identity) {
+        self.identity = identity;
+    }
+
     /// What the unit is doing.
     pub fn state(&self) -> State {
         match self.phase {

@@ -24,6 +24,9 @@ pub(super) enum Step {
 /// from the timestamps of a camera's frames which of them belongs to which trigger.
 pub const PAUSE_BEFORE: [i64; 3] = [-6, -3, -2];
 
+/// From the end of the last exposure to the next trigger after a delay, ns.
+const SETTLE_NS: u64 = 2_000;
+
 /// The state of a train while it runs.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Train {
@@ -147,7 +150,11 @@ impl Train {
         // than 7/8 of a period, which a camera could not follow.
         let earliest = now_ns.saturating_add(period_ns - period_ns / 8);
         let due_ns = match timing.sync {
-            Sync::Timer => earliest.max(self.due_ns.saturating_add(period_ns)),
+            Sync::Timer => {
+                // Nor into the exposures of the one before.
+                let exposed_ns = (timing.window_ns() + SETTLE_NS).min(period_ns);
+                earliest.max(now_ns.saturating_add(exposed_ns)).max(self.due_ns.saturating_add(period_ns))
+            }
             Sync::ProjectorFrame => earliest,
         };
         self.number = self.number.saturating_add(1);

@@ -530,3 +530,35 @@ fn the_unit_fits_a_microcontroller() {
     assert!(size_of::<Unit>() <= 18 * 1024, "{} bytes", size_of::<Unit>());
     assert!(size_of::<hsu_firmware_proto::frame::Decoder>() <= 512);
 }
+
+#[test]
+fn hosts_are_told_the_serial_number_that_was_read_after_power_up() {
+    let mut bench = Bench::new();
+    let name = NodeName::new("test").expect("short");
+    let identity = Identity { name, unique_id: *b"e6605838834f2a31", firmware: [0, 2, 0] };
+    bench.unit.identify(identity);
+    let answer = bench.hello(LinkId::A, "a");
+    assert!(matches!(answer, UnitToHost::Welcome(_, welcome) if welcome.identity == identity), "{answer:?}");
+}
+
+/// After a delay the next trigger comes earlier than a period, but not before this one's exposures are over.
+#[test]
+fn a_late_trigger_keeps_its_exposures_to_itself() {
+    for (exposure_ns, apart_ns) in [(1_000_000, PERIOD - PERIOD / 8), (8_000_000, 8_202_000)] {
+        let mut bench = Bench::new();
+        let heads = [HeadTiming { delay_ns: 200_000, exposure_ns }; 4];
+        let timing = Timing::new(PERIOD, Sync::Timer, 2 * SECOND, &heads).expect("valid");
+        for (link, role) in [(LinkId::A, "a"), (LinkId::B, "b")] {
+            bench.hello(link, role);
+            bench.ask(link, Request::Configure(Ok(timing)));
+            bench.ack(link, Request::Arm(Arm { timing_digest: timing.digest(), ..arm_of(SESSION, 10, 0) }));
+        }
+        bench.ack(LinkId::A, Request::Start(SESSION));
+        bench.pass(1_000, 10_000);
+        bench.now += 2 * PERIOD;
+        bench.pass(1_000, 20_000);
+        let times: Vec<u64> = bench.out.fired.iter().map(|record| record.time_ns).collect();
+        let shortest = times.windows(2).map(|pair| pair[1] - pair[0]).min().expect("two triggers");
+        assert!((apart_ns..apart_ns + 1_000).contains(&shortest), "{shortest} ns, expected {apart_ns}");
+    }
+}
