@@ -37,7 +37,7 @@ class Calibration:
         devices: Sequence[str] = (),
         unit_mm: float | None = None,
     ) -> Calibration:
-        """The calibration of OpenCV's files (YAML, XML, JSON, NPZ), of MATLAB's (JSON of `toStruct`) or of a scene.
+        """The calibration of OpenCV's files (YAML, XML, JSON, NPZ), of MATLAB's (JSON of `toStruct`), of Anipose's or of a scene.
 
         Volume, pattern and the place of the first device are those of the `rig` file, or of the calibration `base`.
         `devices`: which cameras the files' devices are in their order, or a head for its projector; empty: the cameras in
@@ -46,7 +46,8 @@ class Calibration:
         paths = [os.fspath(path) for path in files]
         made = cls.__new__(cls)
         rig = None if rig is None else os.fspath(rig)
-        made._keep(_native.Calibration.of_files(paths, rig, base and base._native, list(devices), unit_mm))
+        native = None if base is None else base._native
+        made._keep(_native.Calibration.of_files(paths, rig, native, list(devices), unit_mm))
         return made
 
     def content(self) -> dict[str, Any]:

@@ -68,7 +68,9 @@ def test_a_check_is_that_of_the_command_and_finds_what_has_turned(tmp_path):
     f"fb.calibration_check({str(DEMO / 'sessions/demo')!r}, {str(DEMO / 'frames/calibration.json')!r}, progress=print)",
 ])
 def test_ctrl_c_ends_both_and_nothing_is_written(call, tmp_path):
-    program = f"import functools, fourdbody as fb; print = functools.partial(print, flush=True)\n{call}"
+    # A shell that runs these tests in the background has Ctrl-C ignored.
+    heard = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    program = f"{heard}\nimport functools, fourdbody as fb; print = functools.partial(print, flush=True)\n{call}"
     child = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert child.stdout.readline()
     child.send_signal(signal.SIGINT)

@@ -132,7 +132,9 @@ def test_a_session_becomes_a_result(session, calibration, tmp_path):
 
 
 def test_ctrl_c_ends_a_reconstruction(tmp_path):
-    program = (f"import fourdbody as fb; s = fb.Session({str(SESSION)!r}); c = fb.Calibration({str(DEMO / 'frames/calibration.json')!r})\n"
+    # A shell that runs these tests in the background has Ctrl-C ignored.
+    program = ("import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+               f"import fourdbody as fb; s = fb.Session({str(SESSION)!r}); c = fb.Calibration({str(DEMO / 'frames/calibration.json')!r})\n"
                f"fb.reconstruct(s, c, {str(tmp_path / 'out')!r}, progress=lambda done, of: print(done, flush=True))")
     child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert child.stdout.readline() == "0\n"
