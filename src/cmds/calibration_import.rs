@@ -17,7 +17,8 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Files: YAML, XML or JSON of cv2.FileStorage; NPZ of numpy.savez; in MATLAB
   fid = fopen('stereo.json', 'w'); fprintf(fid, '%s', jsonencode(toStruct(stereoParams))); fclose(fid);
-TOML of Anipose, FreeMoCap or Caliscope; and the rig of a rendered scene, JSON. Files that complement each other are given together.
+TOML of Anipose, FreeMoCap or Caliscope; and the rig of a rendered scene, JSON. Files that complement each other are
+given together.
 
 Examples:
   fourdbody calibration import --rig bench.toml --from stereo.yml --unit-mm 1 --out calibration.json

@@ -2,9 +2,9 @@
 //! The TOML files of Anipose, FreeMoCap and Caliscope: cameras around a room, each with its lens and `x_camera = R x + t`,
 //! where R is a rotation vector. The first camera stays where the calibration has it, the others are placed from there.
 
-use super::opencv::{numbers, square};
+use super::opencv::{numbers, square, vector};
 use super::{Foreign, ForeignDevice, Place, lens};
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::Rotation3;
 use serde_json::{Map, Value};
 
 /// The cameras of a file, where it is one of these.
@@ -37,10 +37,7 @@ pub fn devices(all: &Map<String, Value>) -> Result<Foreign, String> {
                 "expected radial and tangential distortion, found fisheye = true".to_owned(),
             ));
         }
-        let vector = |key: &str| match list(key)[..] {
-            [x, y, z] => Ok(Vector3::new(x, y, z)),
-            ref other => Err(of_device(format!("expected three numbers as {key}, found {}", other.len()))),
-        };
+        let vector = |key: &str| vector(key, table.get(key)).map_err(of_device);
         let (turn, shift) = (Rotation3::new(vector("rotation")?), vector("translation")?);
         let place = match first {
             None => Place::First,
@@ -51,7 +48,7 @@ pub fn devices(all: &Map<String, Value>) -> Result<Foreign, String> {
         };
         first.get_or_insert((turn, shift));
         let matrix = square(table.get("matrix").unwrap_or(&Value::Null)).map_err(of_device)?;
-        let lens = lens(&matrix, &list("distortions")).map_err(|e| format!("{name}: {e}"))?;
+        let lens = lens(&matrix, &list("distortions")).map_err(of_device)?;
         let size = <[f64; 2]>::try_from(list("size")).ok().map(|size| size.map(|x| x as usize));
         devices.push(ForeignDevice { name, lens, size, place, is_projector: false });
     }

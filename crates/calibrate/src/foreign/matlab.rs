@@ -4,9 +4,8 @@
 //! MATLAB counts pixels from 1. Its rotation and its older `IntrinsicMatrix` multiply rows of coordinates from the
 //! right: they are transposed here.
 
-use super::opencv::{numbers, square};
+use super::opencv::{numbers, square, vector};
 use super::{Foreign, ForeignDevice, Place, lens};
-use nalgebra::Vector3;
 use serde_json::{Map, Value};
 
 /// Whether a file is one of MATLAB's.
@@ -21,13 +20,10 @@ pub fn devices(all: &Map<String, Value>) -> Result<Foreign, String> {
         let devices = vec![device("camera", all, Place::First)?];
         return Ok(Foreign { program: "MATLAB", devices, unit_mm: None });
     };
-    let named = |name: &str| all.get(name).ok_or_else(|| format!("expected {name} of toStruct, found none"));
-    let rotation = square(named("RotationOfCamera2")?)?.transpose();
-    let shift = numbers(named("TranslationOfCamera2")?);
-    if shift.len() != 3 {
-        return Err(format!("expected three numbers in TranslationOfCamera2, found {}", shift.len()));
-    }
-    let place = Place::FromFirst(rotation, Vector3::from_column_slice(&shift));
+    let rotation =
+        all.get("RotationOfCamera2").ok_or("expected RotationOfCamera2 of toStruct, found none")?;
+    let rotation = square(rotation)?.transpose();
+    let place = Place::FromFirst(rotation, vector("TranslationOfCamera2", all.get("TranslationOfCamera2"))?);
     let devices = vec![device("camera 1", first, Place::First)?, device("camera 2", second, place)?];
     let unit_mm = match first.get("WorldUnits").and_then(Value::as_str).unwrap_or_default() {
         "mm" | "millimeters" => Some(1.0),

@@ -97,14 +97,8 @@ pub fn devices(all: &Map<String, Value>) -> Result<Foreign, String> {
                 _ => (names.rotation, names.translation),
             };
             let (rotation, shift) = (required("R", rotation)?, required("T", shift)?);
-            let shift = numbers(shift.1);
-            if shift.len() != 3 {
-                return Err(of_device(format!(
-                    "expected three numbers of the translation, found {}",
-                    shift.len()
-                )));
-            }
-            Place::FromFirst(square(rotation.1).map_err(of_device)?, Vector3::from_column_slice(&shift))
+            let turn = square(rotation.1).map_err(of_device)?;
+            Place::FromFirst(turn, vector(shift.0, Some(shift.1)).map_err(of_device)?)
         };
         let lens = lens(&square(matrix).map_err(of_device)?, &numbers(distortion)).map_err(of_device)?;
         let is_projector = names.what == PROJECTOR.what;
@@ -134,6 +128,14 @@ pub fn numbers(value: &Value) -> Vec<f64> {
 
 fn number(value: &Value) -> Option<f64> {
     numbers(value).first().copied()
+}
+
+/// The three numbers of a value with this name.
+pub fn vector(name: &str, value: Option<&Value>) -> Result<Vector3<f64>, String> {
+    match value.map(numbers).unwrap_or_default()[..] {
+        [x, y, z] => Ok(Vector3::new(x, y, z)),
+        ref other => Err(format!("expected three numbers as {name}, found {}", other.len())),
+    }
 }
 
 /// A matrix of three rows and columns.
